@@ -1,12 +1,12 @@
-"""Learning Hamiltonian dynamics from data, and assimilating measurements with what was learned.
+"""Learning Hamiltonian dynamics from data, and assimilating measurements with the learned model.
 
-    run = ahnn.load("molniya_mechanical")             # a run folder, or a model that comes with the package
-    run.rollout(start, steps=1440), run.energy(x), run.results
+    run = ahnn.load("molniya_mechanical")             # a run folder, or the name of a model shipped with the
+    package run.rollout(start, steps=1440), run.energy(x), run.results
 
-    data = ahnn.Trajectories(states, times)           # (B, T, 2n) and (B, T), NaN where a sample is absent
-    run = ahnn.fit(data, ahnn.Space("cart", ("q", "p")), ["model=hnn"], folder="runs/cart")
+    data = ahnn.Trajectories(states, times)           # (B, T, 2n) and (B, T), NaN marks missing samples run =
+    ahnn.fit(data, ahnn.Space("cart", ("q", "p")), ["model=hnn"], folder="runs/cart")
 
-The commands: `python -m ahnn` lists them.
+`python -m ahnn` lists the commands.
 """
 
 from __future__ import annotations
@@ -14,14 +14,15 @@ from __future__ import annotations
 import os
 import sys
 
-# Before any other import: `python -m` puts the working directory first, and what lies there would be imported
-# in place of libraries, and as plugins. It may be a folder of somebody else (docs/extending.md).
+# Before any other import: `python -m` puts the working directory first on the path, so modules in it would be
+# imported in place of libraries and as plugins. The directory may belong to somebody else
+# (docs/extending.md).
 _names_us = any(word.removeprefix("-m").partition(".")[0] == __name__ for word in sys.orig_argv[1:])
-_is_command = _names_us and sys.argv[:1] == ["-m"]  # while `-m` looks for its module
+_is_command = _names_us and sys.argv[:1] == ["-m"]  # while `-m` looks up its module
 if _is_command and not sys.flags.safe_path:
     del sys.path[0]
-    os.environ["PYTHONSAFEPATH"] = "1"  # for the processes of a sweep
-if _is_command:  # until `cli.guard` listens, Ctrl-C ends this process without a traceback
+    os.environ["PYTHONSAFEPATH"] = "1"  # for the worker processes of a sweep
+if _is_command:  # until `cli.guard` installs its handlers, Ctrl-C ends this process without a traceback
     import signal
 
     signal.signal(signal.SIGINT, signal.SIG_DFL)
@@ -50,7 +51,7 @@ HOMES = {
     "fit": "fitting",
     "load": "loading",
 }
-"""The module of each public name: none is imported before it is used."""
+"""Module of each public name; modules are imported on first use."""
 
 __all__ = [
     "Assimilation",

@@ -1,4 +1,4 @@
-"""What the package offers: `python -m ahnn`."""
+"""Overview of commands and trained models: `python -m ahnn`."""
 
 from __future__ import annotations
 

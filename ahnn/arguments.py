@@ -1,4 +1,4 @@
-"""Arguments checked against the signature of what they are for, from a configuration and from Python alike.
+"""Validation of arguments against the callee's signature, for configurations and Python calls alike.
 
 The signature is the schema: names, types, literals and limits are written once, where they are used:
 
@@ -37,16 +37,16 @@ from ahnn.errors import UserError
 T = TypeVar("T", bound=Callable[..., Any])
 
 LONGEST = 300
-"""Characters of a value in a message."""
+"""Maximum number of characters of a value in a message."""
 
 
 class Within(NamedTuple):
-    """Limits of a number; infinity and NaN are never within.
+    """Limits of a number; infinity and NaN are always rejected.
 
     Attributes:
-        least, most: limits that are included.
-        above, below: limits that are not.
-        multiple: what it must be a multiple of; 0 takes any.
+        least, most: inclusive limits.
+        above, below: exclusive limits.
+        multiple: required divisor; 0 accepts any number.
     """
 
     least: float = -math.inf
@@ -58,7 +58,7 @@ class Within(NamedTuple):
     def __contains__(self, value: Any) -> bool:
         limited = self.least <= value <= self.most and self.above < value < self.below
         whole = self.multiple == 0 or value % self.multiple == 0
-        return limited and whole and abs(value) < math.inf  # which holds for integers of any size
+        return limited and whole and abs(value) < math.inf  # exact for integers of any size
 
     def __str__(self) -> str:
         if math.isfinite(self.least) and math.isfinite(self.most):
@@ -82,7 +82,7 @@ class Interval(NamedTuple):
 
 
 class Printable(NamedTuple):
-    """Limit of a text: no control characters, which a terminal would obey."""
+    """Restriction of a text to printable characters: a terminal would obey control characters."""
 
     most: int = 200
 
@@ -103,9 +103,9 @@ Range = Annotated[tuple[float, float] | list[float], Interval()]
 
 
 def checked(target: T) -> T:
-    """Let a class or a function refuse wrong arguments by its annotations, before it runs.
+    """Make a class or function validate its arguments against its annotations before it runs.
 
-    It then raises UserError: a value of another type or beyond its limits.
+    The decorated callable raises UserError for a value of the wrong type or outside its limits.
     """
     call = target.__init__ if inspect.isclass(target) else target
     signature, skipped = inspect.signature(call), int(inspect.isclass(target))
@@ -130,17 +130,17 @@ def check_arguments(
     *,
     partial: bool = False,
 ) -> None:
-    """Check that keyword arguments are all that a class or function needs, and within their limits.
+    """Check that keyword arguments are complete for a class or function, and within their limits.
 
     Args:
         who: name of the configuration node, for the message; "" names the argument alone.
-        target: what the arguments will be passed to.
+        target: class or function that will receive the arguments.
         arguments: plain values.
-        given: names of those that are not the user's to set.
-        partial: whether the first argument follows later.
+        given: names of arguments that the user may not set.
+        partial: whether the first argument is supplied later.
 
     Raises:
-        UserError: a name that is unknown, missing or not the user's, or a value of another type.
+        UserError: an argument that is unknown, missing or reserved, or a value of the wrong type.
     """
     parameters = inspect.signature(target).parameters.values()
     open_ended = any(p.kind is p.VAR_KEYWORD for p in parameters)
@@ -162,10 +162,10 @@ def check_arguments(
 def check_values(who: str, target: Callable[..., Any], arguments: Mapping[str, Any]) -> None:
     """Compare arguments with the annotations of a class or function.
 
-    None passes where it is the default. Objects that are built already pass, and nodes that will be.
+    None is accepted where it is the default. Objects already built, and nodes yet to be built, are accepted.
 
     Raises:
-        UserError: a value of another type, or beyond its limits.
+        UserError: a value of the wrong type or outside its limits.
     """
     parameters, hints = inspect.signature(target).parameters, type_hints(target)
     for name, value in arguments.items():
@@ -180,17 +180,17 @@ def check_values(who: str, target: Callable[..., Any], arguments: Mapping[str, A
 
 
 def type_hints(target: Callable[..., Any], *, limits: bool = True) -> dict[str, Any]:
-    """Return the annotations of a class's constructor or a function; none if they cannot be resolved."""
+    """Return the annotations of a class's constructor or a function; empty if they cannot be resolved."""
     fields = is_dataclass(target) or hasattr(target, "_fields")
     source = target.__init__ if inspect.isclass(target) and not fields else target
     try:
         return get_type_hints(source, include_extras=limits)
-    except (NameError, TypeError):  # other libraries import some names for type checkers alone
+    except (NameError, TypeError):  # other libraries import some names for type checkers only
         return {}
 
 
 def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested plain values under dotted keys; lists and tuples compare alike."""
+    """Return nested plain values under dotted keys; lists and tuples compare equal."""
     flat: dict[str, Any] = {}
     for key, value in values.items():
         if isinstance(value, Mapping):
@@ -208,11 +208,11 @@ def nearest(name: str, known: Any) -> str:
 
 
 PLAIN = {float: (int, float), int: int, str: str, bool: bool, NoneType: NoneType}
-"""What values of plain types may be; True and False are no numbers."""
+"""Python types accepted for each plain annotation; True and False are not numbers."""
 
 
 def fits(value: Any, hint: Any) -> bool:
-    """Return whether a plain value is of an annotated type; types other than plain ones always fit."""
+    """Return whether a plain value matches an annotated type; other annotations always match."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin is Annotated:
         limits = [limit for limit in inner[1:] if isinstance(limit, Within | Interval | Printable)]
@@ -222,7 +222,7 @@ def fits(value: Any, hint: Any) -> bool:
     if origin in (Union, UnionType):
         return any(fits(value, option) for option in inner)
     if hint in PLAIN:
-        wide = hint is float and isinstance(value, int) and abs(value) >= 2**63  # not for tensors
+        wide = hint is float and isinstance(value, int) and abs(value) >= 2**63  # excludes tensors
         return isinstance(value, PLAIN[hint]) and (hint is bool or not isinstance(value, bool)) and not wide
     if origin in (list, tuple) or hint in (list, tuple):
         if not isinstance(value, list | tuple) or not inner:
@@ -240,19 +240,19 @@ def fits(value: Any, hint: Any) -> bool:
 
 
 def repeats(hint: Any) -> bool:
-    """Return whether the annotation of a list or tuple holds for any length."""
+    """Return whether the annotation of a list or tuple applies to any length."""
     return get_origin(hint) is not tuple or get_args(hint)[1:] == (...,)
 
 
 def describe(hint: Any) -> str:
-    """Return an annotation in words a user reads: `int`, `one of a, b`, `float or None`."""
+    """Return an annotation in words for the user: `int`, `one of a, b`, `float or None`."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin is Annotated:
         return str(inner[1]) if isinstance(inner[1], Interval) else f"{describe(inner[0])} {inner[1]}"
     if origin is Literal:
         return ("one of " if inner[1:] else "") + ", ".join(str(option) for option in inner)
     if origin in (Union, UnionType):
-        names = {describe(option) for option in inner}  # the order of a union is that of whoever came first
+        names = {describe(option) for option in inner}  # the order depends on which spelling came first
         return " or ".join(sorted(names, key=lambda name: (name == "None", name.lower())))
     if origin in (list, tuple):
         return f"a list of {'' if repeats(hint) else f'{len(inner)} '}{describe(inner[0])}"

@@ -1,9 +1,9 @@
 """Assimilate measurements online: `python -m ahnn.assimilate run=DIR measurements=FILE|- start=[..]|FILE`.
 
-run=DIR             a run folder; or pretrained=NAME, a model that comes with the package; ckpt=best
+run=DIR             a run folder; or pretrained=NAME, a model shipped with the package; ckpt=best
 measurements=FILE   CSV with a header (time, sensor, numbers, sd_NAME) or JSON lines; - is standard input
 start=[X,...]       the state at time=0; or FILE: YAML or JSON (mean, sd or covariance), an ephemeris, table,
-                    element set, or what an assimilation wrote, with its epoch, frame and covariance
+                    element set, or output of an assimilation, with its epoch, frame and covariance
 start_sd=[..]       its standard deviations, one for each component (of one degree of freedom q and p), or
                     [position,velocity], in place of a covariance in FILE
 controls=FILE       of a model with controls: a table of times and controls, or numbers that are held; without
@@ -25,12 +25,13 @@ lag=SECONDS         each line also has the estimate of that long before, smoothe
 measurement=NAME    what is measured; of several sensors: +measurement@sensors.NAME=OPTION for each
 measurement.bias_sd=NUMBER      its bias is estimated; bias_memory=TIME lets it wander; or of sensors.NAME
 plugins=NAME        the filter; plugins.ukf.process_noise is Q
-gate=0.999999       refuses what is less probable; opens again after plugins.ukf.patience=5 refusals in a row;
+gate=0.999999       rejects less probable measurements; reopens after plugins.ukf.patience=5 consecutive
+rejections;
                     gate=none takes all
 watch=true          a live view of state, 3 sigma, innovations and NIS on standard error; or --watch
 figures=FOLDER      innovations, consistency and deviations at the end
 oem=FILE            .oem or .xml: an ephemeris message at the end, of object=NAME
---trust             build whatever the folder's config.yaml names; only if you know who wrote it
+--trust             build any class named in the folder's config.yaml; only for files you trust
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ USAGE = (
 
 
 def assimilate(arguments: list[str]) -> None:
-    """Assimilate the stream that a command line names; raises as `cli.stream` and `jobs.assimilating`."""
+    """Assimilate the stream named on the command line; raises as `cli.stream` and `jobs.assimilating`."""
     with importing():
         from ahnn.cli.stream import read_stream
         from ahnn.jobs import assimilating

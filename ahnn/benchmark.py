@@ -1,15 +1,15 @@
-"""The field's tasks, theirs beside ours: `python -m ahnn.benchmark noisy_spring two_bodies`, or `all`.
+"""Published benchmark tasks, original and own models: `python -m ahnn.benchmark noisy_spring two_bodies`.
 
 NAME...             two_bodies, three_bodies, noisy_spring, noisy_pendulum, one_orbit,
                     chain_2, chain_3, chain_5, points_henon_heiles,
                     points_fermi_pasta, points_double_pendulum, map_pendulum,
                     map_double_pendulum, map_three_bodies, or all
-models=[A,B]        some of a task's models; all of them without it
-draws=10            of data and starts, each with a training of its own
-jobs=1              trainings side by side
-output=FOLDER       runs/benchmark without it: a run folder and a score for each training
+models=[A,B]        subset of a task's models; default: all
+draws=10            number of random data sets and starts, each with its own training
+jobs=1              number of parallel trainings
+output=FOLDER       default runs/benchmark: a run folder and a score for each training
 
-What is finished is kept: the same command goes on where it was stopped, and shows the table of all.
+Finished trainings are kept: repeat the command to resume, and to print the complete table.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ USAGE = "usage: python -m ahnn.benchmark NAME... | all [draws=10] [jobs=2] [mode
 
 
 def benchmark(arguments: list[str]) -> None:
-    """Train and score what a command line asks for; raises as `cli.benchmarking`."""
+    """Train and score the models named on the command line; raises the errors of `cli.benchmarking`."""
     with importing():
         from ahnn.cli import benchmarking
 

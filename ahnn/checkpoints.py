@@ -1,4 +1,4 @@
-"""Weights on disk: reading them without unpickling anything, and comparing what they belong to."""
+"""Checkpoint files: reading weights without unpickling, and checks that they match a model."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from ahnn.errors import UserError
 from ahnn.files import write_atomically
 
 FORMAT = 2
-"""Of what stands beside the weights; raise it when its meaning changes."""
+"""Version of the metadata stored with weights; increase it when their meaning changes."""
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
-    """Return the content of a Lightning checkpoint, tensors and plain values only.
+    """Return the content of a Lightning checkpoint, restricted to tensors and plain values.
 
     Raises:
-        UserError: the file is missing or damaged, or holds anything that would have to be executed.
+        UserError: the file is missing or damaged, or contains code to be executed.
     """
     if not path.exists() or path.is_dir():
         message = f"checkpoint {path}: expected a file; received none. Name the run folder: run=DIR ckpt=last"
@@ -37,7 +37,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         require_regular(path)
         require_intact(path)
         content = torch.load(path, map_location="cpu", weights_only=True)
-    except pickle.UnpicklingError as error:  # torch's own message tells how to execute it
+    except pickle.UnpicklingError as error:  # torch's own message explains how to execute the content
         message = (
             f"checkpoint {path}: expected tensors and plain values; received objects that only executing the "
             "file would restore, which ahnn never does. Train again, or take a checkpoint written by ahnn"
@@ -62,7 +62,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 
 
 def replace_weights(path: Path, state: dict[str, Tensor], about: dict[str, Any]) -> None:
-    """Write other weights of the dynamics, and what is new about them, into a Lightning checkpoint."""
+    """Replace the weights and metadata of the dynamics in a Lightning checkpoint."""
     content = read_checkpoint(path)
     own = content["state_dict"]
     own |= {f"dynamics.{key}": value.to(own[f"dynamics.{key}"]) for key, value in state.items()}
@@ -73,7 +73,7 @@ def replace_weights(path: Path, state: dict[str, Tensor], about: dict[str, Any])
 
 
 def _is_plain(about: Any) -> bool:
-    """Return whether nested values have no tensors in them, which compare as nothing else does."""
+    """Return whether nested values contain no tensors, which `==` does not compare."""
     try:
         return isinstance(about, dict) and bool(json.dumps(about))
     except (TypeError, ValueError, RecursionError):
@@ -84,11 +84,11 @@ def require_intact(path: Path) -> None:
     """Compare every record of a checkpoint with its checksum, which torch does not do.
 
     Raises:
-        zipfile.BadZipFile: a record is not what was written, or the file is none that `torch.save` writes.
+        zipfile.BadZipFile: a record is corrupt, or the file is not a `torch.save` archive.
     """
     with zipfile.ZipFile(path) as archive:
         if sum(record.file_size for record in archive.infolist()) > path.stat().st_size:
-            message = "records larger than the file"  # compressed or shared ones could be of any size
+            message = "records larger than the file"  # compressed or shared records could expand to any size
             raise zipfile.BadZipFile(message)
         damaged = archive.testzip()
     if damaged is not None:
@@ -97,12 +97,11 @@ def require_intact(path: Path) -> None:
 
 
 class Weights(NamedTuple):
-    """Trained weights and what they are.
+    """Trained weights and their metadata.
 
     Attributes:
-        state: of the dynamics, by name of the parameter or buffer.
-        about: plain values: `dynamics` (what `make_dynamics` takes), `space`, `dt`, and what the training
-            was made of.
+        state: tensors of the dynamics by parameter or buffer name.
+        about: plain values: `dynamics` (arguments of `make_dynamics`), `space`, `dt`, and the training data.
     """
 
     state: dict[str, Tensor]
@@ -113,7 +112,7 @@ def read_weights(path: Path) -> Weights:
     """Return the weights in a checkpoint or in a safetensors file that `write_weights` wrote.
 
     Raises:
-        UserError: the file is missing, damaged, of another format, or has other tensors than real numbers.
+        UserError: the file is missing, damaged, of an unknown format, or contains tensors that are not real.
     """
     if path.suffix == ".safetensors":
         state, about = read_safetensors(path, "weights")
@@ -132,7 +131,7 @@ def read_weights(path: Path) -> Weights:
 
 
 def _is_dense(value: Any) -> bool:
-    """Return whether a value is a tensor of real numbers, each in a place of its own in memory."""
+    """Return whether a value is a real tensor without overlapping memory."""
     if not isinstance(value, Tensor) or value.layout is not torch.strided or value.device.type != "cpu":
         return False
     size = value.numel() * value.element_size()
@@ -146,36 +145,36 @@ def write_weights(path: Path, weights: Weights) -> None:
 
 
 def packed(weights: Weights) -> bytes:
-    """Return weights as the content of a safetensors file, with a checksum over all of it."""
+    """Return the weights as the bytes of a safetensors file, with a checksum over all content."""
     tensors = {key: value.contiguous() for key, value in weights.state.items()}
     about = json.dumps(weights.about)
     return save(tensors, {"ahnn": about, "sha256": checksum(tensors, about)})
 
 
 def checksum(tensors: dict[str, Tensor], about: str) -> str:
-    """Return the SHA-256 of names, values and what stands beside them."""
+    """Return the SHA-256 of tensor names, values and metadata."""
     digest = hashlib.sha256(about.encode())
     for name in sorted(tensors):
-        content = tensors[name].detach().contiguous().reshape(-1).view(torch.uint8)  # of any type
+        content = tensors[name].detach().contiguous().reshape(-1).view(torch.uint8)  # works for every dtype
         digest.update(name.encode() + content.numpy().tobytes())
     return digest.hexdigest()
 
 
 def read_safetensors(path: Path, who: str) -> Weights:
-    """Return tensors and what stands beside them, {} where nothing of ours does; the checksum is compared.
+    """Return tensors and metadata ({} for files without ours) after verification of the checksum.
 
     Raises:
-        UserError: the file is missing or damaged; begins with `who`.
+        UserError: the file is missing or damaged; the message begins with `who`.
     """
     try:
         require_regular(path)
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
             text = metadata.get("ahnn", "{}")
-            state = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 - it is no dict
+            state = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 - not a dict
         if "ahnn" in metadata and checksum(state, text) != metadata.get("sha256"):
             message = "checksum"
-            raise ValueError(message)  # noqa: TRY301 - one message for all damage
+            raise ValueError(message)  # noqa: TRY301 - one message for every kind of damage
         about = json.loads(text)
         if not isinstance(about, dict):
             message = f"{str(about)[:40]!r} in place of what they are"
@@ -190,7 +189,7 @@ def require_same(who: str, expected: dict[str, Any], received: dict[str, Any]) -
     """Compare nested plain values.
 
     Raises:
-        UserError: they differ; the message lists every key that does.
+        UserError: the values differ; the message lists every differing key.
     """
     wanted, found = flatten(expected), flatten(received)
     rows = [

@@ -1,13 +1,13 @@
-"""The clock of a motion: time and controls as coordinates of an extended phase space.
+"""Extended phase space: time and controls as additional coordinates.
 
 Forces that depend on time t and on controls u make the equations of motion explicit in time. They are
 autonomous in the coordinates (q, c) with c = (t, u), whose rates are known: dc/dt = r, dr/dt = 0 (Hairer,
-Lubich & Wanner, Geometric Numerical Integration, section VI.1). So an extended state is
+Lubich & Wanner, Geometric Numerical Integration, section VI.1). The extended state is
 
     z = [q, c, p, r],  shape (..., 2 (n + k)),  k = 0: autonomous, 1: time, 1 + m: time and m controls,
 
-and integrators, derivatives and objectives are those of any other state. Controls that are held between
-samples have the rate 0, those that are interpolated linearly their slope.
+so integrators, derivatives and objectives apply unchanged. Piecewise constant controls have rate 0, linearly
+interpolated controls have their slope as rate.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from torch import Tensor
 
 
 class Clock(NamedTuple):
-    """Time and controls at some instants.
+    """Time and controls at given instants.
 
     Attributes:
         values: c = (t, u), shape (..., k).
@@ -31,12 +31,12 @@ class Clock(NamedTuple):
 
     @classmethod
     def of(cls, times: Tensor, controls: Tensor | None, linear: bool = False) -> Clock:
-        """Return the clock of samples at times (..., T), with controls (..., T, m) from each sample on.
+        """Return the clock of samples at times (..., T) with controls (..., T, m), valid from each sample on.
 
         Args:
-            times: of the samples.
-            controls: None where there are none.
-            linear: whether controls are interpolated linearly; else they are held.
+            times: sample times, (..., T).
+            controls: (..., T, m), or None without controls.
+            linear: whether controls are interpolated linearly instead of held.
         """
         t = times.unsqueeze(-1)
         one = torch.ones_like(t)
@@ -49,18 +49,18 @@ class Clock(NamedTuple):
         return cls(torch.cat((t, controls), dim=-1), torch.cat((one, slopes), dim=-1))
 
     def first(self, count: int) -> Clock:
-        """Return the clock cut to its first k components."""
+        """Return the clock reduced to its first k components."""
         return Clock(self.values[..., :count], self.rates[..., :count])
 
     def of_steps(self) -> Clock:
-        """Return the clock where all steps begin, (B (T - 1), k), from that of samples (B, T, k)."""
+        """Return the clock at the start of every step, (B (T - 1), k), from that of samples, (B, T, k)."""
         return Clock(*(part[:, :-1].flatten(0, 1) for part in self))
 
     def along(self, lengths: Tensor, ends: Tensor) -> Clock:
-        """Return the clock where each of N steps begins, (..., N, k), from that of samples, (..., T, k).
+        """Return the clock at the start of N integrator steps, (..., N, k), from that of samples (..., T, k).
 
         Args:
-            lengths: (N,) of the steps.
+            lengths: (N,) step lengths.
             ends: (T,) number of steps up to each sample.
         """
         counts = ends.diff()
@@ -70,20 +70,20 @@ class Clock(NamedTuple):
         return Clock(values + gone.unsqueeze(-1) * rates, rates)
 
     def steps(self, part: Tensor) -> Clock:
-        """Return the clock of some instants (N,), from that of all, (..., T, k)."""
+        """Return the clock at selected instants (N,) of (..., T, k)."""
         return Clock(self.values[..., part, :], self.rates[..., part, :])
 
     def at(self, sample: int) -> Clock:
-        """Return the clock of one sample, (..., k), from that of all, (..., T, k)."""
+        """Return the clock of one sample, (..., k), of (..., T, k)."""
         return Clock(self.values[..., sample, :], self.rates[..., sample, :])
 
     def rows(self, part: slice | Tensor) -> Clock:
-        """Return the clock of some trajectories."""
+        """Return the clock of selected trajectories."""
         return Clock(self.values[part], self.rates[part])
 
 
 def extended(x: Tensor, clock: Clock) -> Tensor:
-    """Return z, shape (..., 2 (n + k)), of the states x, shape (..., 2n), at instants of a clock."""
+    """Return extended states z, shape (..., 2 (n + k)), from states x, shape (..., 2n), and a clock."""
     q, p = x.chunk(2, dim=-1)
     shape = x.shape[:-1]
     values, rates = (part.to(x).expand(*shape, part.shape[-1]) for part in clock)
@@ -91,7 +91,7 @@ def extended(x: Tensor, clock: Clock) -> Tensor:
 
 
 def reduced(z: Tensor, count: int) -> Tensor:
-    """Return the states x, shape (..., 2n), in extended states z of k = `count` clock coordinates."""
+    """Return the states x, shape (..., 2n), within extended states z with k = `count` clock coordinates."""
     if count == 0:
         return z
     first, second = z.chunk(2, dim=-1)
@@ -100,19 +100,19 @@ def reduced(z: Tensor, count: int) -> Tensor:
 
 
 def reduced_jacobians(jacobians: Tensor, count: int) -> Tensor:
-    """Return the blocks (..., 2n, 2n) of states in Jacobians of steps of extended states."""
+    """Return the state blocks (..., 2n, 2n) of Jacobians of extended states."""
     return reduced(reduced(jacobians, count).mT, count).mT
 
 
 def split(z: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return q, c, p and r of extended states z of k = `count` clock coordinates."""
+    """Return q, c, p and r of extended states z with k = `count` clock coordinates."""
     first, second = z.chunk(2, dim=-1)
     dof = first.shape[-1] - count
     return first[..., :dof], first[..., dof:], second[..., :dof], second[..., dof:]
 
 
 def on_clock(predicted: Tensor, known: Tensor, count: int) -> Tensor:
-    """Return increments, (..., 2 (n + k)), whose clock moves as is known: controls jump between samples."""
+    """Return increments, (..., 2 (n + k)), with exact clock increments: controls jump between samples."""
     if count <= 1:
         return predicted
     q, _, p, _ = split(predicted, count)

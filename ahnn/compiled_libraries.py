@@ -1,4 +1,4 @@
-"""Libraries from C source, compiled once for a machine and kept beside other caches."""
+"""Shared libraries built from C source, compiled once per machine and cached."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from ahnn.files import write_cached
 from ahnn.paths import cache_dir
 from ahnn.types import TimeStep
 
-# No errno and no traps, so that square roots are vector operations; infinities and NaN stay what they are.
+# No errno and no traps, so that square roots vectorise; infinities and NaN keep their meaning.
 FLAGS = ("-O3", "-funroll-loops", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi")
 POINTER, NUMBER, REAL = ctypes.c_void_p, ctypes.c_long, ctypes.c_double
 VECTORS = {"AVX512": ("-march=x86-64-v4",), "AVX2": ("-march=x86-64-v3",)}
-"""Flags of the compiler for what torch finds of vectors."""
+"""Compiler flags for each vector capability that torch reports."""
 PATIENCE = 60.0
-"""Seconds that a compiler has; ours take one or two."""
+"""Time limit of the compiler in seconds; our sources take one or two."""
 LARGEST = 50_000_000
-"""Bytes of a library; ours have some ten thousand."""
+"""Size limit of a library in bytes; ours have about ten thousand."""
 PART = 2048
-"""States that are worth a core."""
+"""Number of states that justifies one more core."""
 
 
 def compiled_library(
@@ -50,15 +50,15 @@ def compiled_library(
 ) -> ctypes.CDLL | None:
     """Return the library of a source, or None where there is no C compiler.
 
-    The compiler is `$CC`, or else `cc`. The library is kept in the user's cache, in a folder where only its
-    owner can write, and verified bit for bit. A compiler that fails or hangs gives one warning.
+    The compiler is `$CC`, or else `cc`. The library is kept in the user's cache, in a folder writable by its
+    owner alone, and verified bit for bit. A compiler that fails or hangs causes one warning.
 
     Args:
-        source: a file in C.
-        signatures: arguments of its functions, which return numbers.
-        whose: what goes on without it, slower.
-        vectors: compile for the vectors that torch finds, which an old compiler may not know.
-        defined: names that the source asks for.
+        source: path of the C file.
+        signatures: argument types of its functions, which return numbers.
+        whose: description of the computation that falls back to slower code, for the warning.
+        vectors: whether to compile for the vector extensions that torch reports; old compilers may lack them.
+        defined: preprocessor macros required by the source.
     """
     told = os.environ.get("CC", "")
     try:
@@ -79,10 +79,10 @@ def compiled_library(
 
 
 def _built(source: Path, command: list[str]) -> ctypes.CDLL:
-    """Return the library of the cache, or a new one, which is kept there if that is a place of one's own.
+    """Return the cached library, or compile one and cache it if the cache folder is private.
 
     Raises:
-        OSError: there is no library after all, or none of this machine.
+        OSError: the library cannot be loaded, or was built for another machine.
         subprocess.SubprocessError: the compiler fails, or takes longer than `PATIENCE`.
     """
     texts = (path.read_text() for path in (source, *sorted(source.parent.glob("*.h"))))
@@ -98,18 +98,18 @@ def _built(source: Path, command: list[str]) -> ctypes.CDLL:
         _compile([*command, "-o", str(made), str(source), "-lm"])
         content = read_whole(made, LARGEST)
         if own:
-            with contextlib.suppress(OSError):  # a full disk, say: it serves this process alone
+            with contextlib.suppress(OSError):  # for example a full disk: this process alone uses the library
                 write_cached(path, content + _seal(content, key))
         return ctypes.CDLL(str(made))
 
 
 def _compile(line: list[str]) -> None:
-    """Run a compiler, and end it with all that it started where it takes too long; raises as `_built`."""
+    """Run a compiler; on time-out kill it with its child processes. Raises the errors of `_built`."""
     quiet: Any = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
     with subprocess.Popen(line, text=True, errors="replace", start_new_session=True, **quiet) as process:
         try:
             _, said = process.communicate(timeout=PATIENCE)
-        except BaseException:  # an interrupt too
+        except BaseException:  # also on an interrupt
             os.killpg(process.pid, signal.SIGKILL)
             raise
     if process.returncode:
@@ -117,12 +117,12 @@ def _compile(line: list[str]) -> None:
 
 
 def _seal(content: bytes, key: bytes) -> bytes:
-    """Return the checksum of a library and its source; it stands behind it, where no loader looks."""
+    """Return the checksum of a library and its source; it is appended, where loaders ignore it."""
     return hashlib.sha256(key + content).digest()
 
 
 def _is_intact(path: Path, key: bytes) -> bool:
-    """Return whether a file holds the library of a source bit for bit."""
+    """Return whether a file contains the intact library of a source."""
     try:
         whole = read_whole(path, LARGEST)
     except OSError:
@@ -132,7 +132,7 @@ def _is_intact(path: Path, key: bytes) -> bool:
 
 
 def _own(folder: Path) -> bool:
-    """Make a folder for libraries; return whether nobody else can write there: what lies in it is run."""
+    """Create the library folder; return whether only this user can write to it: its files are executed."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         about = folder.stat()
@@ -142,7 +142,7 @@ def _own(folder: Path) -> bool:
 
 
 def followed() -> bool:
-    """Return whether something follows single operations: a transform, a graph in the making, a mode."""
+    """Return whether torch traces operations: by a function transform, graph capture or dispatch mode."""
     return (
         torch.compiler.is_compiling()
         or torch._C._are_functorch_transforms_active()
@@ -153,14 +153,14 @@ def followed() -> bool:
 
 
 def plain(t: Tensor, dtype: torch.dtype) -> bool:
-    """Return whether a tensor is what its memory says: numbers of a type on the CPU, and no subclass."""
+    """Return whether a tensor is plain memory: a CPU tensor of the given type, not a subclass."""
     own = (type(t) is Tensor or type(t) is Parameter) and t.layout == torch.strided
     own = own and torch._C._has_storage(t) and not t.is_neg() and not t._is_zerotensor()
     return own and t.dtype == dtype and t.device.type == "cpu"
 
 
 def numbers_alone(x: Tensor, dt: TimeStep) -> bool:
-    """Return whether numbers alone are wanted of float64 states (B, D) on the CPU."""
+    """Return whether float64 CPU states (B, D) need values only, without derivatives."""
     if followed():
         return False
     steps = (dt,) if isinstance(dt, Tensor) else ()

@@ -1,4 +1,4 @@
-"""The content of files, whoever wrote them: regular files alone, YAML and JSON as plain values."""
+"""Safe reading of untrusted files: regular files only, YAML and JSON as plain values."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ import yaml
 from ahnn.errors import UserError
 
 LARGEST = 2_000_000
-"""Bytes of a configuration; ours have a few thousand."""
+"""Size limit of a configuration in bytes; ours have a few thousand."""
 RESULTS = 200_000_000
-"""Bytes of the results of an evaluation."""
+"""Size limit of evaluation results in bytes."""
 DEEPEST = 20
-"""Levels of nested values; ours have six."""
+"""Depth limit of nested values; ours have six levels."""
 
 
 def require_regular(path: Path) -> None:
-    """Refuse what has no end or waits for a writer: a pipe, a socket, a device.
+    """Reject pipes, sockets and devices, which have no end or block until written to.
 
     Raises:
-        OSError: it is not there, or no regular file; `strerror` says which.
+        OSError: the path is missing or not a regular file; `strerror` states which.
     """
     try:
         mode = path.stat().st_mode
-    except ValueError as error:  # a NUL, say
+    except ValueError as error:  # for example a NUL character
         raise OSError(errno.EINVAL, "no path of a file", str(path)) from error
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
@@ -42,15 +42,15 @@ def read_whole(path: Path, most: int = LARGEST) -> bytes:
     """Return the bytes of a regular file.
 
     Args:
-        path: of the file.
-        most: bytes that it may have.
+        path: path of the file.
+        most: maximum size in bytes.
 
     Raises:
-        OSError: it cannot be read, is no regular file, or is larger; `strerror` says which.
+        OSError: the file is unreadable, not regular, or too large; `strerror` states which.
     """
     require_regular(path)
     with path.open("rb") as file:
-        # What /proc shows has no size.
+        # Files in /proc have no size.
         size = min(most, max(os.fstat(file.fileno()).st_size, LARGEST))
         content = file.read(size + 1)
     if len(content) > size:
@@ -59,16 +59,16 @@ def read_whole(path: Path, most: int = LARGEST) -> bytes:
 
 
 def read_plain(path: Path) -> dict[str, Any]:
-    """Return a YAML file of plain values under keys.
+    """Return the mapping of plain values in a YAML file.
 
     Raises:
-        UserError: there is none, or it is something else.
+        UserError: the file is missing, or is not such a mapping.
     """
     return _keys(path, "the configuration of a run", plain_yaml, LARGEST)
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Return a JSON file of plain values under keys; raises as `read_plain`."""
+    """Return the mapping of plain values in a JSON file; raises the errors of `read_plain`."""
     return _keys(path, "the results of an evaluation", json.loads, RESULTS)
 
 
@@ -89,11 +89,11 @@ def _keys(path: Path, expected: str, parse: Any, most: int) -> dict[str, Any]:
 
 
 def plain_yaml(text: str) -> Any:
-    """Return the plain values of a YAML text, of whatever source; nothing that it names is built.
+    """Return the plain values of an untrusted YAML text; no object is constructed.
 
     Raises:
-        yaml.YAMLError: damaged, a key twice, a tag of an object, or an alias: that could make a small file a
-            huge value.
+        yaml.YAMLError: invalid YAML, a duplicate key, an object tag, or an alias, which could expand a small
+            file to a huge value.
     """
     return yaml.load(text, _Plain)
 
@@ -113,13 +113,13 @@ class _Plain(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-_Plain.add_implicit_resolver(  # YAML 1.1 takes 1e5 for a text, JSON and YAML 1.2 for a number
+_Plain.add_implicit_resolver(  # YAML 1.1 reads 1e5 as a text, JSON and YAML 1.2 as a number
     "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
 )
 
 
 def _is_plain(value: Any, depth: int = 0) -> bool:
-    """Return whether values are texts, numbers and truth values, in lists and under texts, not too deep."""
+    """Return whether values are strings, numbers and booleans in lists and string-keyed dicts."""
     if isinstance(value, dict):
         named = all(isinstance(key, str) for key in value)
         return named and depth < DEEPEST and all(_is_plain(item, depth + 1) for item in value.values())

@@ -1,4 +1,4 @@
-"""Controls over time: each is held until the next, or they are interpolated linearly."""
+"""Controls as functions of time: piecewise constant or linearly interpolated."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from ahnn.errors import UserError
 from ahnn.numbers import Numbers, as_float64
 
 NEAR = 1e-9
-"""Two times are one where they differ by less than this part of the span."""
+"""Relative tolerance, as a fraction of the time span, within which two times are equal."""
 
 
 class ControlTable(NamedTuple):
-    """Controls over time.
+    """Tabulated controls.
 
     Attributes:
         times: (T,) increasing.
-        values: (T, m), those of each time on; (B, T, m) for B members.
-        linear: whether they are interpolated linearly; else they are held.
+        values: (T, m), valid from each time on; (B, T, m) for B members.
+        linear: whether values are interpolated linearly instead of held.
     """
 
     times: Tensor
@@ -30,7 +30,7 @@ class ControlTable(NamedTuple):
 
     @classmethod
     def of(cls, times: Numbers, values: Numbers, *, linear: bool = False) -> ControlTable:
-        """Return the table of numbers; raises UserError for times that do not increase, or other shapes."""
+        """Build a validated table; raises UserError for times that do not increase, or wrong shapes."""
         moments, given = as_float64(times, "times"), as_float64(values, "controls")
         fits = moments.ndim == 1 and len(moments) > 0 and given.shape[-2:-1] == moments.shape
         if not fits or not bool((moments.diff() > 0).all()) or not bool(given.isfinite().all()):
@@ -42,13 +42,13 @@ class ControlTable(NamedTuple):
         return cls(moments, given, linear)
 
     def begun(self, times: Tensor, near: float = 0.0) -> tuple[Tensor, Tensor]:
-        """Return values and rates (..., K, m) from each of K times on.
+        """Return values and rates (..., K, m) valid from each of K times on.
 
-        Before the first time and after the last the controls there are held.
+        Outside the table the first or last controls apply.
 
         Args:
             times: (K,).
-            near: what a time may lie before one of the table and is that.
+            near: tolerance by which a time may precede a table time and still match it.
         """
         last = torch.searchsorted(self.times, times + near, right=True) - 1
         inside = (last >= 0) & (last < len(self.times) - 1)
@@ -61,10 +61,10 @@ class ControlTable(NamedTuple):
         return values + (times - self.times[here]).unsqueeze(-1) * rates, rates
 
     def at(self, times: Tensor) -> Tensor:
-        """Return the controls (..., K, m) at times (K,) from the first on; the last ones are held.
+        """Return the controls (..., K, m) at times (K,); after the end of the table the last ones apply.
 
         Raises:
-            UserError: a time before the first.
+            UserError: a time before the beginning of the table.
         """
         near = NEAR * float(times[-1] - times[0])
         if float(times[0]) < float(self.times[0]) - near:
@@ -76,23 +76,23 @@ class ControlTable(NamedTuple):
         return self.begun(times, near)[0]
 
     def over(self, times: Tensor) -> ControlTable:
-        """Return the controls at times (K,) and at their own between these.
+        """Return the controls at times (K,) merged with the table's own times between them.
 
-        No step from one time of it to the next crosses a jump.
+        With these times no step crosses a jump.
         """
         low, high = torch.searchsorted(self.times, times[[0, -1]]).tolist()
         whole = merged(times, self.times[low:high])
         return ControlTable(whole, self.at(whole), self.linear)
 
     def hash_before(self, time: float) -> str:
-        """Return the hash of what decides the controls before a time: rows added behind it change nothing."""
+        """Return a hash of the entries that determine controls before a time; later rows are ignored."""
         end = int(torch.searchsorted(self.times, time)) + int(self.linear)
         parts = (part[:end].contiguous().numpy().tobytes() for part in (self.times, self.values))
         return hashlib.blake2b(b"".join(parts), digest_size=16).hexdigest() + "-linear" * self.linear
 
 
 def merged(times: Tensor, others: Tensor) -> Tensor:
-    """Return times (K,) and those of others between them, increasing, each once."""
+    """Return the increasing union of times (K,) and the other times between them, without duplicates."""
     near = NEAR * float(times[-1] - times[0])
     after = torch.searchsorted(times, others).clamp(1, len(times) - 1)
     gap = torch.minimum((others - times[after - 1]).abs(), (times[after] - others).abs())

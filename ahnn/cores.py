@@ -1,8 +1,8 @@
-"""Parts of a computation side by side, on the cores that the process may use.
+"""Parallel execution of a computation in parts, on the cores available to the process.
 
-The parts belong to the work, and each is the work of one thread: results have the same bits on any number of
-cores, and a training that goes on elsewhere stays the same. Threads inside an operation offer neither, and
-where others share the cores they wait for each other in busy loops.
+The division depends on the work alone, and each part runs in one thread: results are bitwise identical on any
+number of cores, and a training resumed elsewhere is unchanged. Threads inside an operation guarantee neither,
+and on shared cores they wait for each other in busy loops.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ T = TypeVar("T")
 
 
 def cores() -> int:
-    """Return how many parts may run side by side.
+    """Return the number of parts that may run in parallel.
 
-    They are the cores that the process may be scheduled on, no more than OMP_NUM_THREADS says, shared among
-    the threads that an operation of torch takes.
+    It is the number of cores on which the process may be scheduled, at most OMP_NUM_THREADS, divided by the
+    number of threads of a torch operation.
     """
     affinity = getattr(os, "sched_getaffinity", None)
     count = len(affinity(0)) if affinity else os.cpu_count() or 1
@@ -35,9 +35,9 @@ def cores() -> int:
 
 
 def each(work: Callable[[P], T], parts: Iterable[P], device: torch.device) -> list[T]:
-    """Return what the work makes of each part, in their order and without gradients.
+    """Apply a function to each part, without gradients, and return the results in order.
 
-    Parts of other devices than the CPU, or of a thread that is one of several, run one after the other.
+    Parts run sequentially on devices other than the CPU, and inside a worker thread.
     """
     given = list(parts)
     alone = device.type != "cpu" or threading.current_thread() is not threading.main_thread()
@@ -48,9 +48,9 @@ def each(work: Callable[[P], T], parts: Iterable[P], device: torch.device) -> li
 
 
 def slices(count: int, size: int, device: torch.device | None = None) -> list[slice]:
-    """Return parts of so many rows, `size` in each or, in the last, fewer; of none, one without rows.
+    """Return slices of `size` rows each, the last possibly shorter; one empty slice for zero rows.
 
-    What is not on the CPU is one part: the parts of a GPU are its own.
+    Other devices get a single slice: a GPU schedules its own blocks.
     """
     if device is not None and device.type != "cpu":
         return [slice(0, count)]

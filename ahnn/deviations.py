@@ -1,4 +1,4 @@
-"""States and their standard deviations as people give them: checked, and a number for each component."""
+"""User-supplied states and standard deviations, validated and expanded to one number per component."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from ahnn.numbers import as_float64
 from ahnn.types import Space
 
 ROUNDING = 1e-10
-"""Asymmetry and negative eigenvalue of a covariance, scaled to unit diagonal, that are none."""
+"""Tolerance for asymmetry and negative eigenvalues of a covariance scaled to unit diagonal."""
 SECOND = {True: "velocities", False: "momenta"}
-"""What the second half of a state is given as, by whether p = m dq/dt."""
+"""Name of the second half of a state in input, by whether p = m dq/dt."""
 
 
 def require_squares(deviations: Tensor, who: str) -> Tensor:
-    """Return standard deviations > 0 whose squares float64 holds; raises UserError for others."""
+    """Return standard deviations > 0 whose squares are representable in float64; else raise UserError."""
     squares = deviations.square()
     held = squares.isfinite() & (squares >= torch.finfo(torch.float64).tiny)
     if not bool(held.all()):
@@ -34,13 +34,13 @@ def state_deviations(given: Any, space: Space, who: str) -> Tensor:
     """Return the standard deviations (2n,) of a state.
 
     Args:
-        given: 2n numbers, one for each component, or two, for positions and for velocities; of one degree of
-            freedom two numbers are of q and p.
-        space: what the numbers of a state mean.
-        who: the parameter, for messages.
+        given: 2n numbers, one for each component, or two, for positions and for velocities; for one degree of
+            freedom, two numbers refer to q and p.
+        space: description of the state components.
+        who: parameter name for messages.
 
     Raises:
-        UserError: another count, or numbers that are not positive.
+        UserError: a wrong count, or numbers that are not positive.
     """
     size = 2 * space.dof
     try:
@@ -58,7 +58,7 @@ def state_deviations(given: Any, space: Space, who: str) -> Tensor:
 
 
 def require_finite(states: Tensor) -> None:
-    """Refuse starts (B, D) with NaN, infinity, or numbers whose squares are infinite; raises UserError."""
+    """Raise UserError for starts (B, D) with NaN, infinity, or numbers whose squares overflow."""
     wrong = ~states.square().isfinite().all(-1)
     if bool(wrong.any()):
         row = int(wrong.nonzero()[0])
@@ -72,7 +72,7 @@ def covariance_factor(given: Any, size: int, who: str) -> Tensor:
     """Return factors F, covariance = F F^T, of covariances (D, D) or (B, D, D) of a state.
 
     Raises:
-        UserError: another shape, numbers that are not finite, or no covariance.
+        UserError: a wrong shape, non-finite numbers, or a matrix that is not a covariance.
     """
     try:
         matrix = as_float64(given, who)

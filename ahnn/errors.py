@@ -1,4 +1,4 @@
-"""The kinds of stop that a user sees as one message instead of a traceback."""
+"""Exceptions that a user sees as one message instead of a traceback."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ import signal
 
 
 class UserError(ValueError):
-    """A mistake in what the user asked for; the message says who, expected, received and the remedy."""
+    """Invalid user input; the message names the source, the expected and received values, and the remedy."""
 
 
 class Occupied(UserError):
-    """Another process works there."""
+    """Another process uses the folder."""
 
 
 class TrainingError(RuntimeError):
-    """Training cannot go on (for example a non-finite loss); the message says where it stopped."""
+    """Training cannot continue (for example a non-finite loss); the message states where it stopped."""
 
 
 class Stopped(BaseException):
-    """A signal ended the work; not an `Exception`, so that nothing on the way takes it for a failure.
+    """Termination by a signal; not an `Exception`, so that no handler mistakes it for a failure.
 
     Attributes:
         signal: SIGINT, SIGTERM or SIGHUP.
@@ -29,6 +29,6 @@ class Stopped(BaseException):
         self.signal = signal.Signals(number)
 
     def saying(self, how_to_go_on: str) -> Stopped:
-        """Return the stop with a message for the user."""
+        """Return the exception with a message for the user."""
         cause = "Ctrl-C" if self.signal == signal.SIGINT else self.signal.name
         return Stopped(self.signal, f"stopped by {cause}; {how_to_go_on}")

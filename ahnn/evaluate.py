@@ -1,13 +1,13 @@
 """Evaluate a finished run again: `python -m ahnn.evaluate run=DIR plugins=ukf`.
 
 run=DIR             a run folder; its own config.yaml and weights are used
-pretrained=NAME     a model that comes with the package; run=DIR says where its results are kept
+pretrained=NAME     a model shipped with the package; run=DIR is then the folder of its results
 ckpt=best           the weights to evaluate: best, last, or a path
-name=NAME           of this evaluation, kept in DIR/evaluations/NAME; date and time without it
-plugins=NAME        and measurement=NAME: groups of the library
+name=NAME           name of this evaluation, stored in DIR/evaluations/NAME; default: date and time
+plugins=NAME        also measurement=NAME: options of the library's groups
 measurement.bias_sd=NUMBER      also bias_memory=: biases of the sensors, simulated and estimated
-KEY=VALUE           of system, data, evaluation, measurement and plugins: on other data, say
---trust             build whatever the folder's config.yaml names; only if you know who wrote it
+KEY=VALUE           settings of system, data, evaluation, measurement and plugins, for example other data
+--trust             build any class named in the folder's config.yaml; only for files you trust
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ USAGE = "usage: python -m ahnn.evaluate run=DIR | pretrained=NAME [name=NAME] [p
 
 
 def evaluate(arguments: list[str]) -> None:
-    """Evaluate the run that a command line names; raises as `cli.evaluation`."""
+    """Evaluate the run named on the command line; raises the errors of `cli.evaluation`."""
     with importing():
         from ahnn.cli.evaluation import read_evaluation
         from ahnn.jobs import evaluating

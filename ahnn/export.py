@@ -1,9 +1,9 @@
 """Export learned dynamics for other programs: `python -m ahnn.export run=DIR output=FOLDER`.
 
 run=DIR             a run folder
-pretrained=NAME     a model that comes with the package
+pretrained=NAME     a model shipped with the package
 ckpt=best           the weights: best, last, or a path
-output=FOLDER       a new one: flow and energy as .pt2 and .onnx, weights.safetensors, model.json
+output=FOLDER       a new folder: flow and energy as .pt2 and .onnx, weights.safetensors, model.json
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ USAGE = "usage: python -m ahnn.export run=DIR | pretrained=NAME output=FOLDER [c
 
 
 def export(arguments: list[str]) -> None:
-    """Export what a command line asks for; raises as `jobs.exporting`."""
+    """Export the model named on the command line; raises the errors of `jobs.exporting`."""
     with importing():
         from ahnn.cli.pairs import read_pairs
         from ahnn.jobs import exporting

@@ -1,7 +1,7 @@
-"""Names of this library, and those that installed packages add to them by entry points.
+"""Registries of named objects, extensible by installed packages through entry points.
 
-What is stored beside weights is a name, never the path of a class: a file from elsewhere chooses among what
-is installed and declared, and nothing else of it is imported.
+Files of weights store a registered name, never the path of a class: a foreign file can select only among
+installed, declared objects, and cannot cause any other import.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ T = TypeVar("T")
 
 
 class Table(Mapping[str, T]):
-    """What stands behind each name; the library's own come first, and no package replaces them.
+    """Registry of objects by name; the library's own names take precedence and cannot be replaced.
 
     Args:
-        group: of entry points, `NAME = "package.module:OBJECT"`.
-        own: of the library.
+        group: entry point group, with entries `NAME = "package.module:OBJECT"`.
+        own: objects of the library.
     """
 
     def __init__(self, group: str, own: Mapping[str, T]) -> None:
         self.group, self.own = group, own
 
     def __getitem__(self, name: str) -> T:
-        if not isinstance(name, str):  # whatever stands beside weights
+        if not isinstance(name, str):  # metadata of a weights file may contain any value
             raise KeyError(name)
         if name in self.own:
             return self.own[name]

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Atomic file writing: files appear complete or not at all."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from ahnn.errors import Occupied, UserError
 from ahnn.manifest import digest_of, record, recorded, require_own
 
 UNFINISHED = re.compile(r"\.(.+)\.([0-9a-f]{32})\.tmp")
-"""Name of a temporary file: of its target, and of the first digits of its content where that is known."""
+"""Name of a temporary file: target name and, where known, the first digits of the content's digest."""
 MARK = 24
-"""Digits of a content in the name of a temporary file; random ones follow."""
+"""Number of digest digits in the name of a temporary file; random digits follow."""
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write bytes to a file that appears whole or not at all, and record it in the folder's manifest.
+    """Write bytes to a file atomically, and record it in the folder's manifest.
 
     Raises:
-        UserError: something is there that this program did not write, or a link.
+        UserError: the path is a link, or was not written by this program.
     """
     require_own([path], "file")
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -38,30 +38,30 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 
 def write_cached(path: Path, content: bytes) -> None:
-    """Write bytes to a file of a cache, whose folder holds nothing else."""
+    """Write bytes atomically to a file in a cache folder, which contains nothing but cached files."""
     with atomic_file(path) as file:
         file.write(content)
 
 
 def write_state(path: Path, content: bytes) -> None:
-    """Write bytes to a file that proves by its content that it is ours, in somebody's folder."""
+    """Write bytes atomically to a file identified as ours by its content, in a folder of the user."""
     with atomic_file(path, digest_of(content)[:MARK]) as file:
         file.write(content)
 
 
 @contextlib.contextmanager
 def atomic_file(path: Path, mark: str = "") -> Iterator[BinaryIO]:
-    """Give a temporary file beside `path`; afterwards flush it to the disk and rename it into place.
+    """Yield a temporary file next to `path`; on exit flush it to disk and rename it into place.
 
-    Results are written by `write_atomically`, which looks first whose file is there. What was at `path`
-    survives any failure; a link there is replaced and its target left alone. Whoever writes holds a lock on
-    its temporary file, which ends with the process: what killed writers left in the folder is not locked, and
-    the next one removes it.
+    Results are written by `write_atomically`, which first checks who wrote an existing file. The previous
+    content of `path` survives any failure; a link is replaced and its target left unchanged. A writer locks
+    its temporary file until its process ends, so that files left by killed writers are unlocked and the next
+    writer removes them.
 
     Args:
-        path: of the file.
-        mark: first digits of the content's digest, by which the manifest knows a temporary file; without
-            them the folder is a cache, where all temporary files are ours.
+        path: path of the file.
+        mark: first digits of the content's digest, by which the manifest identifies a temporary file; None
+            for a cache folder, where all temporary files are ours.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     _remove_unfinished(path.parent, recorded(path.parent) if mark else None)
@@ -75,16 +75,16 @@ def atomic_file(path: Path, mark: str = "") -> Iterator[BinaryIO]:
         except BaseException as error:
             temporary.unlink(missing_ok=True)
             if isinstance(error, OSError):
-                error.filename = str(path)  # a full disk names no file
+                error.filename = str(path)  # a full disk gives no file name
             raise
 
 
 def _unfinished(path: Path, mark: str) -> tuple[Path, BinaryIO]:
-    """Return a new temporary file with a lock on it; another one where a remover came before the lock."""
+    """Return a new locked temporary file; retry if the file was removed before it was locked."""
     while True:
         temporary = path.with_name(f".{path.name}.{(mark + uuid4().hex)[:32]}.tmp")
         file = open(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666), "wb")  # noqa: SIM115
-        with contextlib.suppress(OSError):  # a file system without locks: nobody removes anything there
+        with contextlib.suppress(OSError):  # no cleanup on a file system without locks
             fcntl.flock(file, fcntl.LOCK_EX)
         if temporary.exists():
             return temporary, file
@@ -92,29 +92,29 @@ def _unfinished(path: Path, mark: str) -> tuple[Path, BinaryIO]:
 
 
 def _remove_unfinished(folder: Path, known: dict[str, set[str]] | None) -> None:
-    """Remove the temporary files of writers that are gone; in a folder of results those on record alone."""
+    """Remove temporary files of terminated writers; in a results folder only those in the manifest."""
     for path in folder.glob(".*.tmp"):
         found = UNFINISHED.fullmatch(path.name)
         if not found or path.is_symlink() or not path.is_file():
             continue
         if known is not None and found[2][:MARK] not in {each[:MARK] for each in known.get(found[1], ())}:
             continue
-        with contextlib.suppress(OSError), path.open("r+b") as file:  # it is gone, or its writer lives
+        with contextlib.suppress(OSError), path.open("r+b") as file:  # it is gone, or its writer is alive
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             path.unlink()
 
 
 @contextlib.contextmanager
 def claimed(folder: Path, name: str = ".claim") -> Iterator[None]:
-    """Hold a folder for this process alone; the claim ends with the process, however that ends.
+    """Lock a folder for this process; the lock ends with the process, however it terminates.
 
     Args:
-        folder: to hold.
-        name: of the file that is locked; claims of different names do not exclude each other.
+        folder: folder to lock.
+        name: name of the lock file; locks of different names do not exclude each other.
 
     Raises:
-        Occupied: another process holds it.
-        UserError: somebody's file has the name of the claim.
+        Occupied: another process has locked the folder.
+        UserError: a file of the user has the name of the lock file.
     """
     place = folder / name
     if place.is_symlink() or (place.exists() and (not place.is_file() or place.stat().st_size)):
@@ -133,10 +133,10 @@ def claimed(folder: Path, name: str = ".claim") -> Iterator[None]:
 
 
 def require_writable(folder: Path) -> None:
-    """Create a folder and make sure that a file can be written into it.
+    """Create a folder and check that it is writable.
 
     Raises:
-        UserError: it cannot.
+        UserError: the folder cannot be created or written to.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -149,7 +149,7 @@ def require_writable(folder: Path) -> None:
 
 @contextlib.contextmanager
 def whole_folder(folder: Path) -> Iterator[Path]:
-    """Give an empty folder that takes the name of a new one when all is written, and vanishes otherwise."""
+    """Yield an empty temporary folder that is renamed to the target on success and removed otherwise."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     place = folder.with_name(f".{folder.name}.{uuid4().hex}.tmp")
     place.mkdir()

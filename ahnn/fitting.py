@@ -1,4 +1,4 @@
-"""Training from Python on trajectories of one's own: `ahnn.fit`."""
+"""Training on user-supplied trajectories from Python: `ahnn.fit`."""
 
 from __future__ import annotations
 
@@ -14,30 +14,29 @@ if TYPE_CHECKING:
 
 
 READ = ("system.cut", "system.gap", "system.unsound")
-"""Keys of `system=files` that say how trajectories are taken, from Python too."""
+"""Keys of `system=files` that control how trajectories are used, available from Python too."""
 ELSEWHERE = ("run", "folder", "seeds", "sweep", "trial")
-"""Keys that say where the command line trains, and how many models."""
+"""Keys of the command line that set the run folder and the number of models."""
 
 
 def fit(
     trajectories: Trajectories, space: Space, overrides: Sequence[str] = (), *, folder: str | Path
 ) -> Run:
-    """Train on trajectories that you have, evaluate on those held back, and return the run.
+    """Train on given trajectories, evaluate on the test split, and return the run.
 
-    The same code as `python -m ahnn.train system=files`, with the same table and files: the numbers are
-    exact states, or measurements where `data.noise` says so, as `sensor=recorded` takes them. Nothing is
-    known of the equations, so that floors and energy errors are left out, and plugins that need them must be
-    asked for by name.
+    Runs the code of `python -m ahnn.train system=files` and writes the same table and files. The numbers are
+    exact states, or with `data.noise` measurements, as for `sensor=recorded`. The true equations are unknown,
+    so floors and energy errors are omitted, and plugins that need them must be requested by name.
 
     Args:
-        trajectories: states (B, T, 2n) and times (B, T) or (T,), NaN where a sample is absent; positions
-            (B, T, n) where momenta are unknown.
+        trajectories: states (B, T, 2n) and times (B, T) or (T,), NaN marks missing samples; positions (B, T,
+            n) where momenta are unknown.
         space: names, units and inertia of the state components.
         overrides: as on the command line, such as "model=hnn", "window=3", "trainer.max_epochs=50".
-        folder: of the run, a new one.
+        folder: new folder of the run.
 
     Raises:
-        UserError: trajectories or overrides that make no training, or a folder with another one.
+        UserError: invalid trajectories or overrides, or a folder that contains another run.
     """
     from ahnn.arguments import check_arguments
     from ahnn.cli.compose import compose_job
@@ -65,10 +64,10 @@ def fit(
 
 
 def check_given(overrides: Sequence[str], folder: str | Path) -> list[str]:
-    """Return overrides.
+    """Return the validated overrides.
 
     Raises:
-        UserError: they are no texts, or say what arguments say; or there is no folder.
+        UserError: an override is not a string or duplicates an argument, or the folder is missing.
     """
     from ahnn.cli.commandline import parse
 

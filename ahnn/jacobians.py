@@ -1,4 +1,4 @@
-"""Jacobians of functions that map each member of a batch by itself, by vectorised reverse mode."""
+"""Batched Jacobians of functions that act on each member independently, by vectorised reverse mode."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from torch.func import vjp, vmap
 from ahnn.cores import each, slices
 
 TOGETHER = 12_000
-"""Numbers in states whose Jacobians are formed at once: what they take stays in the cache."""
+"""Number of state components whose Jacobians are formed at once, so that the work fits into the cache."""
 
 
 def pointwise_jacobian(function: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
     """Return df/dx, shape (..., M, D), of a function that maps each x (..., D) to its own f (..., M)."""
-    # Nothing, but of x: where f does not depend on it, the process would crash (torch 2.13).
+    # Adds zero times x: where f does not depend on x, the process would crash (torch 2.13).
     along = lambda z: function(z) + 0.0 * z.sum(-1, keepdim=True)  # noqa: E731
     value, back = vjp(along, x)  # pyright: ignore[reportAssignmentType] - three with has_aux alone
     unit = torch.eye(value.shape[-1]).to(value)
@@ -28,8 +28,8 @@ def step_jacobians(increment: Callable[[Tensor, Tensor], Tensor], states: Tensor
 
     Args:
         increment: (x (B, D), dt (B,)) -> x(t + dt) - x(t), shape (B, D).
-        states: (B, N, D) where steps begin.
-        lengths: (B, N).
+        states: (B, N, D) at the beginning of the steps.
+        lengths: (B, N) step lengths.
     """
     x, dt = states.flatten(0, 1), lengths.flatten()
 
@@ -40,7 +40,7 @@ def step_jacobians(increment: Callable[[Tensor, Tensor], Tensor], states: Tensor
 
 
 def moved(step: Callable[[Tensor], Tensor], x: Tensor) -> tuple[Tensor, Tensor]:
-    """Return states (B, D) after a step of states with variations, and its Jacobians (B, D, D)."""
+    """Return the states (B, D) after one step and the Jacobians (B, D, D), from states with variations."""
     beside = torch.eye(x.shape[1]).to(x).expand(len(x), -1, -1)
     after = step(torch.cat((x.unsqueeze(1), beside), dim=1))
     return after[:, 0], after[:, 1:].mT
@@ -49,14 +49,14 @@ def moved(step: Callable[[Tensor], Tensor], x: Tensor) -> tuple[Tensor, Tensor]:
 def differenced(
     flow: Callable[[Tensor, float | Tensor], Tensor], x: Tensor, dt: float | Tensor, half: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return states (B, D) after a step of a flow, and its Jacobians (B, D, D), by central differences.
+    """Return the states (B, D) after one step of a flow and its Jacobians (B, D, D), by central differences.
 
-    One call of the flow on B (1 + 2 D) states, for flows that cost more when they are followed.
+    Uses one call of the flow on B (1 + 2 D) states, for flows whose tracing by autograd costs more.
 
     Args:
-        flow: accurate to rounding.
+        flow: flow that is accurate to rounding.
         x: (B, D).
-        dt: length of the step, or (B,) of each.
+        dt: step length, or (B,) step lengths.
         half: (D,) half widths of the differences.
     """
     offsets = torch.diag(half).to(x)

@@ -1,4 +1,4 @@
-"""What the numbers of a space are called where people read them: velocities only where p = m dq/dt."""
+"""Labels and units of state components in output; velocities are named only where p = m dq/dt."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ KILOGRAMS = {"m": "kg m/s", "rad": "kg m²/s"}
 
 
 def quantity(space: Space, name: str) -> tuple[str, str]:
-    """Return what `position`, `velocity` or `energy` is called, and its unit.
+    """Return the label and unit of `position`, `velocity` or `energy`.
 
-    In the place of velocities stand the momenta themselves where they are not mass times velocity. Where some
-    coordinates are angles and others are not, both units are named.
+    Momenta that are not mass times velocity are shown in place of velocities. Where only some coordinates are
+    angles, both units are named.
     """
     if name != "energy" and len(kinds := [*dict.fromkeys(space.angular)]) > 1:
         parts = [quantity(of_coordinates(space, angle=angle), name) for angle in kinds]
@@ -24,12 +24,12 @@ def quantity(space: Space, name: str) -> tuple[str, str]:
 
 
 def headed(space: Space, name: str) -> str:
-    """Return the name of a quantity with its unit."""
+    """Return the label of a quantity with its unit."""
     return "{} [{}]".format(*quantity(space, name))
 
 
 def components(space: Space) -> list[str]:
-    """Return the names of the components with their units, as `Space.divisor` has them."""
+    """Return the names of the components with their units, as converted by `Space.divisor`."""
     scale = "" if space.divisor == 1.0 else " / m"
     names = [*space.components[: space.dof], *(name + scale for name in space.components[space.dof :])]
     found = []
@@ -40,7 +40,7 @@ def components(space: Space) -> list[str]:
 
 
 def of_coordinates(space: Space, *, angle: bool) -> Space:
-    """Return a space whose coordinates are all angles or none, with the units of these."""
+    """Return a space with uniform units, for coordinates that are all angles or all lengths."""
     if angle and space.units.position != "rad":
         units = space.units._replace(position="rad", velocity=f"rad/{space.units.time}")
         return space._replace(units=units)
@@ -52,7 +52,7 @@ def momentum_unit(space: Space) -> str:
     time, position, velocity, energy = space.units
     if not space.mechanical and {time, position, energy} == {"1"}:
         return "1"
-    if space.mechanical or energy.replace("²", "") == velocity:  # energies per unit mass
+    if space.mechanical or energy.replace("²", "") == velocity:  # energies are per unit mass
         return velocity if space.inertia == 1 else f"{velocity} · mass"
     if (energy, time) == ("J", "s") and position in KILOGRAMS:
         return KILOGRAMS[position]
@@ -60,7 +60,7 @@ def momentum_unit(space: Space) -> str:
 
 
 def require_velocities(space: Space, who: str) -> None:
-    """Refuse to read or write velocities where momenta are not mass times velocity; raises UserError."""
+    """Raise UserError for reading or writing velocities where momenta are not mass times velocity."""
     if not space.mechanical:
         message = (
             f"{who}: expected momenta that are mass times velocity; received {space.name}, whose are not. "

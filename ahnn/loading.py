@@ -1,4 +1,4 @@
-"""Load a trained model: a run folder, or one that comes with the package, as a `Run`."""
+"""Loading of trained models, from run folders or the package, as a `Run`."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ log = logging.getLogger(__name__)
 
 @checked
 def load(run: str | Path, ckpt: str = "best") -> Run:
-    """Return a trained model.
+    """Load a trained model.
 
     Args:
-        run: a run folder, or the name of a model that comes with the package.
+        run: a run folder, or the name of a model shipped with the package.
         ckpt: `best`, `last`, or the path of a checkpoint.
 
     Raises:
-        UserError: there is no such run, or its weights or their covariance are damaged.
+        UserError: the run is missing, or its weights or their covariance are damaged.
     """
     folder = Path(run)
     if not folder.exists() and str(run) in names():
@@ -56,11 +56,11 @@ def load(run: str | Path, ckpt: str = "best") -> Run:
 
 
 def weights_path(folder: Path, ckpt: str = "best") -> Path:
-    """Return the file of a run's weights.
+    """Return the path of a run's weights.
 
     Args:
-        folder: of the run.
-        ckpt: `best` (the last ones where nothing chose the best), `last`, or a path.
+        folder: folder of the run.
+        ckpt: `best` (the last weights where no selection took place), `last`, or a path.
     """
     if ckpt not in ("best", "last"):
         return Path(ckpt)
@@ -72,10 +72,10 @@ def weights_path(folder: Path, ckpt: str = "best") -> Path:
 
 
 def require_last(folder: Path, about: dict[str, Any]) -> None:
-    """Say that the last weights are taken for the best, where no validation has chosen any.
+    """Log that the last weights serve as the best, where no validation selected any.
 
     Raises:
-        UserError: some were chosen, and are missing.
+        UserError: weights were selected but are missing.
     """
     monitor = flatten(about).get("settings.callbacks.best.monitor")
     if monitor is not None and about.get("val_loss") is not None:
@@ -88,10 +88,10 @@ def require_last(folder: Path, about: dict[str, Any]) -> None:
 
 
 def made(weights: Weights, folder: Path) -> Run:
-    """Return the run of some weights.
+    """Build the run of given weights.
 
     Raises:
-        UserError: they do not say what they are, or are of other dynamics.
+        UserError: the weights have no metadata, or belong to other dynamics.
     """
     about, space = read_about(f"run {folder}: weights", weights.about)
     try:
@@ -99,7 +99,7 @@ def made(weights: Weights, folder: Path) -> Run:
             dynamics = make_dynamics(**about.dynamics)
         require_controls(dynamics.clock, space)
         domain = domain_of(weights.about, len(space.components))
-    except Exception as error:  # whatever the class of a package says of arguments that are none
+    except Exception as error:  # third-party classes may raise anything for invalid arguments
         reason = error if isinstance(error, UserError) else repr(error)
         message = f"run {folder}: expected weights that say what they are; received: {reason}"
         raise UserError(message) from error
@@ -116,7 +116,7 @@ def made(weights: Weights, folder: Path) -> Run:
 
 
 def require_controls(clock: int, space: Space) -> None:
-    """Refuse dynamics of k = `clock` clock coordinates whose controls are not those of a space."""
+    """Raise UserError for dynamics with k = `clock` clock coordinates other than the space's controls."""
     if clock > 1 and clock - 1 != len(space.controls):
         names = ", ".join(space.controls) or "none"
         message = f"space.controls: expected names of {clock - 1}, those of the dynamics; received {names}"

@@ -1,9 +1,8 @@
-"""Which files of a folder this program wrote: it replaces and removes no others, and writes through no link.
+"""Manifest of the files written by this program, which replaces no other files and follows no links.
 
-Each folder that we write into has a manifest, one line for each file that was written: the SHA-256 of its
-content and its name, as `sha256sum` prints them. A file counts as ours while its content is still one of
-those that were recorded under its name. The line comes before the file, so that no crash leaves a file of
-ours without one.
+Each output folder has a manifest with one line per written file: the SHA-256 of its content and its name, as
+`sha256sum` prints them. A file is ours as long as its content matches a digest recorded under its name. The
+line is written before the file, so that no crash leaves a file of ours unrecorded.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from ahnn.errors import UserError
 NAME = ".ahnn-files"
 HEAD = "# SHA-256 of each file that ahnn wrote here. It replaces and removes these alone, while unchanged.\n"
 UNRECORDED = {".hydra", "console.log", ".turn", ".claim"}
-"""What a sweep puts into the folder of a job before the job itself begins."""
+"""Files that a sweep creates in the folder of a job before the job begins."""
 LINE = re.compile(r"([0-9a-f]{64})  (.+)")
 
 
@@ -29,10 +28,10 @@ def digest_of(content: bytes) -> str:
 
 
 def recorded(folder: Path) -> dict[str, set[str]]:
-    """Return the digests that a folder's manifest has under each name; none without a manifest.
+    """Return the recorded digests of each file name of a folder; empty without a manifest.
 
     Raises:
-        UserError: a file of that name that is no manifest.
+        UserError: the file of that name is not a manifest.
     """
     try:
         text = _text(folder / NAME)
@@ -49,7 +48,7 @@ def record(path: Path, digest: str) -> None:
     """Add a line for a file that is about to be written; its folder exists.
 
     Raises:
-        UserError: the folder has a file in the place of the manifest that is none.
+        UserError: a file with the manifest's name is not a manifest.
     """
     manifest = path.with_name(NAME)
     try:
@@ -59,14 +58,14 @@ def record(path: Path, digest: str) -> None:
     line = f"{digest}  {_word(path)}\n"
     if f"\n{line}" in text:
         return
-    start = "" if text.endswith("\n") else "\n" if text else HEAD  # a crash may have cut the last line
+    start = "" if text.endswith("\n") else "\n" if text else HEAD  # a crash may have truncated the last line
     descriptor = os.open(manifest, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW, 0o666)
     with open(descriptor, "ab", buffering=0) as file:
         file.write(f"{start}{line}".encode())
 
 
 def is_own(path: Path) -> bool:
-    """Return whether a file is there, no link, with a content that we recorded under its name."""
+    """Return whether a file exists, is not a link, and matches a digest recorded under its name."""
     if path.is_symlink() or not path.is_file():
         return False
     known = recorded(path.parent).get(_word(path), ())
@@ -74,14 +73,14 @@ def is_own(path: Path) -> bool:
 
 
 def require_own(paths: Iterable[Path], who: str) -> None:
-    """Refuse to write where something lies that we did not write; asked before any work begins.
+    """Refuse to overwrite files that we did not write; called before any work begins.
 
     Args:
-        paths: of the files to be written; where nothing is, anything may be written.
-        who: the key or door that names them.
+        paths: paths of the files to be written; new paths are always accepted.
+        who: configuration key or command, for messages.
 
     Raises:
-        UserError: one of them is somebody else's file, was changed since we wrote it, or is a link.
+        UserError: a path is a foreign file, a file changed since it was written, or a link.
     """
     for path in paths:
         if os.path.lexists(path) and not is_own(path):
@@ -94,7 +93,7 @@ def require_own(paths: Iterable[Path], who: str) -> None:
 
 
 def remove_own(path: Path) -> None:
-    """Remove a file if we wrote it, and the manifest with the last of its files; leave anything else."""
+    """Remove a file if we wrote it, and the manifest with its last file; leave all others unchanged."""
     if is_own(path):
         path.unlink(missing_ok=True)
         if not any(path.with_name(name).exists() for name in recorded(path.parent)):
@@ -102,16 +101,16 @@ def remove_own(path: Path) -> None:
 
 
 def require_folder(folder: Path, who: str, files: Iterable[Path] = (), inner: Iterable[str] = ()) -> None:
-    """Refuse to write a set of results into a folder unless it is new, empty, or one of ours.
+    """Refuse to write a set of results into a folder unless it is new, empty, or ours.
 
     Args:
-        folder: that holds nothing yet, or earlier results with their manifest.
-        who: the key or door that names it.
-        files: in the folder, to be replaced or removed.
-        inner: names of folders in it that will be written into.
+        folder: output folder, empty or with earlier results and their manifest.
+        who: configuration key or command, for messages.
+        files: names of files in it to be replaced or removed.
+        inner: names of its subfolders to be written into.
 
     Raises:
-        UserError: the folder, or one of the files and folders in it, is somebody else's.
+        UserError: the folder, or one of the files and folders in it, is foreign.
     """
     if folder.exists() and not folder.is_dir():
         message = f"{who} {folder}: expected a folder; received a file. Name another"
@@ -129,7 +128,7 @@ def require_folder(folder: Path, who: str, files: Iterable[Path] = (), inner: It
 
 
 def require_plain(folder: Path) -> None:
-    """Refuse a link or a file in the place of a folder whose name we choose; raises UserError."""
+    """Raise UserError for a link or a file in place of a folder whose name we choose."""
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         what = "link" if folder.is_symlink() else "file"
         message = f"folder {folder}: expected a folder; received a {what} of somebody else. Move it"
@@ -137,7 +136,7 @@ def require_plain(folder: Path) -> None:
 
 
 def own_folder(folder: Path) -> Path:
-    """Make a folder whose name we choose, such as `figures`, and return it; raises as `require_plain`."""
+    """Create and return a folder whose name we choose, such as `figures`; raises as `require_plain`."""
     require_plain(folder)
     folder.mkdir(parents=True, exist_ok=True)
     return folder

@@ -1,4 +1,4 @@
-"""Whether a request fits into memory or onto a disk, before it is made, and what becomes of freed memory."""
+"""Checks of available memory and disk space before allocation, and reuse of freed memory."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ CGROUPS = {
     "": ("sys/fs/cgroup", "memory.max", "anon"),
     "memory": ("sys/fs/cgroup/memory", "memory.limit_in_bytes", "total_rss"),
 }
-"""Where control groups of version 2, and of version 1, say what memory they may take, and what is taken."""
+"""Files of control groups, versions 2 and 1, with the memory limit and the memory in use."""
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
-"""Names of glibc's malloc.h."""
+"""Constants of glibc's malloc.h."""
 
 
 def keep_freed() -> None:
-    """Let the C library keep the memory of tensors that are gone, for those that come.
+    """Make the C library keep freed memory for reuse by later tensors.
 
-    Pages given back come again full of zeros, which took a fifth of the time of steps in the weak form.
-    Nothing is done where the user's environment tunes malloc, or where the C library is another than glibc.
+    Returned pages are zeroed when allocated again, which took a fifth of the time of steps in the weak form.
+    Does nothing where the user's environment tunes malloc, or the C library is not glibc.
     """
     tuned = {"MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_", "GLIBC_TUNABLES"} & os.environ.keys()
     if sys.platform != "linux" or tuned:
@@ -35,10 +35,11 @@ def keep_freed() -> None:
 
 
 def available(root: Path = Path("/")) -> int:
-    """Return the bytes of memory that this process may still take: of the machine, and of its control groups.
+    """Return the memory in bytes still available under the limits of machine and control groups.
 
     Args:
-        root: of the file system; where it lacks Linux's accounts, all memory of the machine counts.
+        root: root of the file system; without Linux's accounting files the machine's total memory is
+            returned.
     """
     limits = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
     with contextlib.suppress(OSError, KeyError, ValueError):
@@ -54,10 +55,10 @@ def available(root: Path = Path("/")) -> int:
 
 
 def _left(group: Path, base: Path, name: str, taken: str) -> list[int]:
-    """Return what a control group and each one around it have left; those without a limit have no entry."""
+    """Return the memory left in a control group and its ancestors; groups without a limit are omitted."""
     found = []
     for folder in (group, *group.parents):
-        with contextlib.suppress(OSError, KeyError, ValueError):  # such as `max`
+        with contextlib.suppress(OSError, KeyError, ValueError):  # for example `max`
             found.append(int((folder / name).read_text()) - _numbers(folder / "memory.stat")[taken])
         if folder == base:
             break
@@ -65,22 +66,22 @@ def _left(group: Path, base: Path, name: str, taken: str) -> list[int]:
 
 
 def _numbers(path: Path) -> dict[str, int]:
-    """Return the first number of each line of a file, by its name."""
+    """Return the first number of each line of a file, by the line's name."""
     rows = (line.replace(":", " ").split() for line in path.read_text().splitlines())
     return {name: int(value) for name, value, *_ in rows}
 
 
 def require_memory(who: str, what: str, size: float, remedy: str = "Ask for less") -> None:
-    """Check an estimate of bytes against the memory that is left.
+    """Compare an estimate in bytes with the available memory.
 
     Args:
         who: the parameters that determine the size, for the message.
-        what: of what size, for the message.
-        size: bytes.
+        what: description of the data, for the message.
+        size: estimate in bytes.
         remedy: for the message.
 
     Raises:
-        UserError: it does not fit.
+        UserError: the estimate exceeds the available memory.
     """
     if size > (left := available()):
         message = (
@@ -91,16 +92,16 @@ def require_memory(who: str, what: str, size: float, remedy: str = "Ask for less
 
 
 def require_disk(who: str, what: str, size: float, folder: Path) -> None:
-    """Check an estimate of bytes against what is free on the disk of a folder, which need not exist yet.
+    """Compare an estimate in bytes with the free disk space of a folder, which need not exist yet.
 
     Args:
         who: the parameters that determine the size, for the message.
-        what: of what size, for the message.
-        size: bytes.
-        folder: where it is to be written.
+        what: description of the data, for the message.
+        size: estimate in bytes.
+        folder: output folder.
 
     Raises:
-        UserError: it does not fit.
+        UserError: the estimate exceeds the free space.
     """
     there = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
     free = shutil.disk_usage(there).free

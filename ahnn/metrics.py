@@ -1,7 +1,7 @@
-"""Scores of predicted trajectories: two definitions of RMSE, energy, moving averages.
+"""Error metrics of predicted trajectories: two definitions of RMSE, energy error, moving averages.
 
-Truth that is NaN marks samples that do not count. A prediction that is not finite where the truth is counts
-as infinitely wrong; it never drops out of a mean.
+Samples whose truth is NaN are ignored. A non-finite prediction of a finite truth has infinite error; it is
+never omitted from a mean.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from torch import Tensor
 
 
 class Scores(NamedTuple):
-    """Errors of a set of predicted trajectories, in the units of the system.
+    """Errors of a set of predicted trajectories, in the system's units.
 
     Attributes:
         position, velocity: mean over trajectories of the root mean square over time of the vector norm;
             the definition that the paper's numbers fit best.
         position_pooled, velocity_pooled: root mean square over trajectories, times and components.
         energy: root mean square over trajectories and times of H(prediction) - H(truth), with the true H;
-            None where that is not known.
+            None where H is unknown.
         components: (D,) root mean square of each component, velocities in place of momenta.
     """
 
@@ -33,14 +33,14 @@ class Scores(NamedTuple):
 
 
 def errors(prediction: Tensor, truth: Tensor) -> Tensor:
-    """Return prediction - truth, shape (B, T, D); inf where the prediction is lost, NaN beyond the truth."""
+    """Return prediction - truth, shape (B, T, D); inf for non-finite predictions, NaN without truth."""
     difference = prediction - truth
     lost = ~prediction.isfinite() & truth.isfinite()
     return difference.masked_fill(lost, torch.inf)
 
 
 def rmse_pooled(error: Tensor) -> Tensor:
-    """Return the root mean square over all valid entries, a scalar."""
+    """Return the root mean square over all valid entries as a scalar."""
     return error.square().nanmean().sqrt()
 
 
@@ -48,7 +48,7 @@ def rmse_norm(error: Tensor) -> Tensor:
     """Return the mean over trajectories of the rms over time of the vector norm, a scalar.
 
     Args:
-        error: (B, T, n) with NaN rows where there is no truth; a trajectory without any does not count.
+        error: (B, T, n) with NaN rows without truth; trajectories without any truth are ignored.
     """
     return error.square().sum(-1).nanmean(-1).sqrt().nanmean()
 
@@ -56,12 +56,12 @@ def rmse_norm(error: Tensor) -> Tensor:
 def typical_error(error: Tensor, ceiling: float) -> Tensor:
     """Return the geometric mean over time of the rms over trajectories of the vector norm, a scalar.
 
-    It still tells models apart whose predictions leave the truth altogether: it falls when they stay near for
-    longer, where a root mean square says only how far away they end.
+    It still distinguishes models whose predictions diverge from the truth: it decreases when they stay close
+    for longer, whereas a root mean square reflects only their final distance.
 
     Args:
-        error: (B, T, n) with NaN rows where a trajectory has ended.
-        ceiling: an error beyond which a prediction is lost; larger ones, and inf, count as this.
+        error: (B, T, n) with NaN rows after the end of a trajectory.
+        ceiling: error beyond which a prediction is useless; larger and infinite errors are set to it.
     """
     norm = error.square().sum(-1).nanmean(0).sqrt()
     norm = norm[~norm.isnan()].clamp(min=torch.finfo(norm.dtype).tiny, max=ceiling)
@@ -71,13 +71,13 @@ def typical_error(error: Tensor, ceiling: float) -> Tensor:
 def score(
     prediction: Tensor, truth: Tensor, energies: tuple[Tensor, Tensor] | None, inertia: float | Tensor
 ) -> Scores:
-    """Return all scores.
+    """Compute all scores.
 
     Args:
         prediction: (B, T, D).
-        truth: (B, T, D), NaN where there is none.
-        energies: true Hamiltonian of prediction and of truth, each (B, T); None where it is not known.
-        inertia: momenta are divided by it to give velocities, (n,) where it differs.
+        truth: (B, T, D), NaN without truth.
+        energies: true Hamiltonian of prediction and of truth, each (B, T); None where H is unknown.
+        inertia: divisor of momenta that gives velocities, a number or (n,).
     """
     error = errors(prediction, truth)
     position, momentum = error.chunk(2, dim=-1)
@@ -96,8 +96,7 @@ def score(
 def moving_average(series: Tensor, width: int) -> Tensor:
     """Return the trailing mean over the last min(k, width) values, shape (T,) (paper, appendix).
 
-    NaN values do not count; where a window holds nothing else the mean is NaN. It is inf where a window
-    holds an inf.
+    NaN values are ignored; the mean is NaN for a window of NaN alone, and inf for a window with an inf.
     """
     there, lost = ~series.isnan(), series.isinf()
     values = series.masked_fill(~there | lost, 0.0)

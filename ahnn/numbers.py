@@ -1,4 +1,4 @@
-"""Numbers as users have them, turned into tensors, and checked."""
+"""Conversion of numeric user input to checked tensors."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from torch import Tensor
 from ahnn.errors import UserError
 
 Numbers = Tensor | NDArray[Any] | Sequence[Any] | float
-"""Numbers as users have them: a tensor, an array, nested sequences or one number."""
+"""Numeric input: a tensor, an array, nested sequences or one number."""
 
 
 def in_percent(fraction: float) -> str:
-    """Return a fraction in percent, in two digits or as a whole number, and never with an exponent."""
+    """Format a fraction in percent, with two digits or as a whole number, never with an exponent."""
     value = 100 * fraction
     if 0 < value < 0.01:
         return "less than 0.01 %"
@@ -29,10 +29,10 @@ def in_percent(fraction: float) -> str:
 def as_float64(value: Numbers, who: str, device: torch.device | None = None) -> Tensor:
     """Return real numbers of any shape as a float64 tensor; gradients flow through it.
 
-    What an array masks is NaN. Nested lists may hold tensors and arrays.
+    Masked entries of an array become NaN. Nested lists may contain tensors and arrays.
 
     Raises:
-        UserError: if they are no numbers, complex, or not of a rectangular shape; begins with `who`.
+        UserError: values that are not real numbers or not rectangular; the message begins with `who`.
     """
     expected = "numbers in a tensor, an array or nested lists"
     try:
@@ -43,7 +43,7 @@ def as_float64(value: Numbers, who: str, device: torch.device | None = None) -> 
         elif _holds_parts(value):
             return torch.stack([as_float64(part, who, device) for part in cast(Sequence[Any], value)])
         elif (array := np.asanyarray(value)).dtype.kind in "fiu" or _all_real(array):
-            with np.errstate(over="ignore"):  # of more than 64 bits
+            with np.errstate(over="ignore"):  # more than 64 bits
                 numbers = cast(Any, np.ma.asarray(array).astype(np.float64, order="C")).filled(np.nan)
             return torch.from_numpy(np.asarray(numbers)).to(device)
         elif array.dtype.kind == "c":
@@ -55,25 +55,25 @@ def as_float64(value: Numbers, who: str, device: torch.device | None = None) -> 
 
 
 def _is_dense(value: Tensor) -> bool:
-    """Return whether a tensor is a rectangle of numbers that are there."""
+    """Return whether a tensor is dense and contains stored numbers."""
     kinds = value.is_meta, value.is_nested, value.is_quantized, value.dtype == torch.bool
     return value.layout is torch.strided and not any(kinds)
 
 
 def _all_real(array: NDArray[Any]) -> bool:
-    """Return whether an array of objects holds real numbers alone."""
+    """Return whether an array of objects contains only real numbers."""
     return array.dtype == object and all(isinstance(n, Real) and not isinstance(n, bool) for n in array.flat)
 
 
 def _holds_parts(value: Any) -> bool:
-    """Return whether tensors or masked arrays lie in nested lists; numpy takes neither as they are."""
+    """Return whether nested lists contain tensors or masked arrays, which numpy does not convert."""
     if not isinstance(value, list | tuple):
         return False
     return any(isinstance(part, Tensor | np.ma.MaskedArray) or _holds_parts(part) for part in value)
 
 
 def as_count(value: Any, who: str, least: int = 0) -> int:
-    """Return a whole number as Python, numpy and torch have them; raises UserError for anything else."""
+    """Convert an integer of Python, numpy or torch to int; raises UserError for anything else."""
     try:
         if (count := operator.index(value)) >= least and not isinstance(value, bool):
             return count
@@ -84,16 +84,16 @@ def as_count(value: Any, who: str, least: int = 0) -> int:
 
 
 def described(value: object) -> str:
-    """Return the type of a value for a message, a dtype that is no float, and the shape if it has one."""
+    """Return the type of a value for a message, with a dtype that is not float, and any shape."""
     kind, dtype = type(value).__name__, str(getattr(value, "dtype", "float"))
     shape = None if getattr(value, "is_nested", False) else getattr(value, "shape", None)
     return kind + ("" if "float" in dtype else f" of {dtype}") + ("" if shape is None else f" {tuple(shape)}")
 
 
 def chi_square_quantile(probability: float, degrees: float) -> float:
-    """Return what a chi-square variable stays below with a probability.
+    """Return the quantile of a chi-square distribution at a probability.
 
-    By the inverse of the incomplete gamma function: `scipy.stats` takes half a second to import.
+    Uses the inverse of the incomplete gamma function: `scipy.stats` takes half a second to import.
     """
     from scipy.special import gammaincinv
 

@@ -1,4 +1,4 @@
-"""Libraries that only some formats need."""
+"""Import of optional libraries required by some formats."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from ahnn.errors import UserError
 
 
 def library(module: str, package: str, extra: str, purpose: str) -> Any:
-    """Return a module of an optional package.
+    """Import a module of an optional package.
 
     Args:
-        module: its name.
-        package: that has it.
-        extra: of ahnn that installs it.
-        purpose: what it is needed for.
+        module: module name.
+        package: package that contains it.
+        extra: extra of ahnn that installs it.
+        purpose: purpose, for the message.
 
     Raises:
-        UserError: it is not installed.
+        UserError: the package is not installed.
     """
     try:
         return importlib.import_module(module)

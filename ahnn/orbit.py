@@ -1,11 +1,11 @@
-"""Determine an orbit from what stations measured: `python -m ahnn.orbit FILE.yaml [KEY=VALUE...] [out=DIR]`.
+"""Determine an orbit from tracking data: `python -m ahnn.orbit FILE.yaml [KEY=VALUE...] [out=DIR]`.
 
-FILE.yaml      stations, start, forces, corrections, noise and what is estimated, docs/tracking.md
-folder=DIR     that holds the files which it names; its own folder without it
+FILE.yaml      stations, start, forces, corrections, noise and estimated parameters, docs/tracking.md
+folder=DIR     folder of the files named in it; default: its own folder
 out=DIR        residuals, unknowns, learned acceleration (CSV) and the orbit with covariances (OEM)
-KEY=VALUE      in place of what the file says: forces.learned=null, held_out=0.2, noise.range=0.01
+KEY=VALUE      override of a setting in the file: forces.learned=null, held_out=0.2, noise.range=0.01
 
-Known forces with coefficients, known or estimated; a learned acceleration beside them; biases of stations.
+The model combines forces with known or estimated coefficients, a learned acceleration, and station biases.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ USAGE = "usage: python -m ahnn.orbit FILE.yaml [folder=DIR] [out=DIR] [KEY=VALUE
 
 
 def orbit(arguments: list[str]) -> None:
-    """Determine the orbit that a command line asks for; raises as `jobs.determining`."""
+    """Determine the orbit described on the command line; raises the errors of `jobs.determining`."""
     with importing():
         from ahnn.cli.orbit_file import read_orbit
         from ahnn.jobs import determining

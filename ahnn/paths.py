@@ -1,4 +1,4 @@
-"""Where the configuration lives, and where this user keeps what can be made again."""
+"""Locations of the configuration and of the user's cache."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def conf_dir() -> Path:
-    """Return the folder that holds train.yaml and the config groups.
+    """Return the folder of train.yaml and the config groups.
 
     Raises:
         FileNotFoundError: the installation is incomplete.
@@ -21,5 +21,5 @@ def conf_dir() -> Path:
 
 
 def cache_dir() -> Path:
-    """Return the folder of generated data and compiled code: `$AHNN_CACHE`, `~/.cache/ahnn` without it."""
-    return Path(os.path.expanduser(os.environ.get("AHNN_CACHE") or "~/.cache/ahnn"))  # no home is no error
+    """Return the folder of generated data and compiled code: `$AHNN_CACHE`, by default `~/.cache/ahnn`."""
+    return Path(os.path.expanduser(os.environ.get("AHNN_CACHE") or "~/.cache/ahnn"))  # may lack a home

@@ -1,19 +1,19 @@
 """Predict with learned dynamics: `python -m ahnn.predict run=DIR start=FILE duration=1d output=orbit.csv`.
 
 run=DIR             a run folder, or [A,B,C]: the mean of several trainings, with their spread
-pretrained=NAME     a model that comes with the package
+pretrained=NAME     a model shipped with the package
 ckpt=best           the weights: best, last, or a path
-start=FILE          first sample of each trajectory in a file (docs/data.md), an element set, or what an
-                    assimilation wrote; or numbers in the units of the model: start=[0.5,0], [[0.5,0],[0.7,0]]
+start=FILE          first sample of each trajectory in a file (docs/data.md), an element set, or output
+                    of an assimilation; or numbers in the model's units: [0.5,0], [[0.5,0],[0.7,0]]
 start_sd=[..]       its standard deviations, one for each component (of one degree of freedom q and p), or
                     [position,velocity]; else the covariance in FILE, and exact without either
-controls=FILE       of a model with controls: a table of time and controls, or numbers that are held
-duration=1d         with a unit, or a number in the model's unit of time
-step=90min          between two predicted states; that of the training without it
-output=FILE         .csv, .parquet, .oem or .xml; without it a summary alone
+controls=FILE       for a model with controls: a table of time and controls, or constants
+duration=1d         duration with a unit, or a number in the model's unit of time
+step=90min          interval of predicted states; default: that of the training
+output=FILE         .csv, .parquet, .oem or .xml; default: only a summary
 figure=FILE         .png or .svg
-epoch=2024-03-01T12:00:00       of time zero; a start with dates has its own
-frame=[EME2000,EARTH,UTC]       frame, centre and time system, where neither model nor file says them
+epoch=2024-03-01T12:00:00       epoch of time zero, unless the start has dates
+frame=[EME2000,EARTH,UTC]       frame, centre and time system, unless defined by model or file
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ USAGE = (
 
 
 def predict(arguments: list[str]) -> None:
-    """Predict what a command line asks for; raises as `jobs.predicting`."""
+    """Predict as requested on the command line; raises as `jobs.predicting`."""
     with importing():
         from ahnn.cli.pairs import read_pairs
         from ahnn.jobs import predicting

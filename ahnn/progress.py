@@ -1,4 +1,4 @@
-"""One way to show progress: a bar on standard error that leaves no trace when it is done."""
+"""Progress bars on standard error that disappear when done."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 def progress_bar(*columns: TextColumn) -> Progress:
-    """Return a transient bar with description, fraction done, time left and any further columns.
+    """Return a transient progress bar with description, fraction done, time left and further columns.
 
     It is silent where standard error is not a terminal.
     """
@@ -30,6 +30,6 @@ def progress_bar(*columns: TextColumn) -> Progress:
 
 
 def track(items: Iterable[T], description: str, total: int) -> Iterator[T]:
-    """Yield the items while a bar shows how many of `total` have passed."""
+    """Yield the items and show their count out of `total` in a progress bar."""
     with progress_bar() as bar:
         yield from bar.track(items, total=total, description=description)

@@ -1,12 +1,12 @@
 """Report on runs in one HTML file: `python -m ahnn.report DIR...`, or `run=DIR` for a single run.
 
-DIR                 a run folder, or one that holds runs at any depth; several are one report
+DIR                 a run folder, or a folder containing runs at any depth; several form one report
 run=DIR             a single run: scores, consistency, figures, settings
-output=FOLDER       report/ in the first folder without it; one of an earlier report is written anew
-report.figures=false            tables and claims alone
-report.confidence=0.95          of the intervals that decide orders and claims
+output=FOLDER       default: report/ in the first folder; an earlier report is replaced
+report.figures=false            tables and claims only
+report.confidence=0.95          confidence level of the intervals behind rankings and claims
 
-Written are report.html, which needs no network, tables.csv, tables/*.tex and figures/*.png, *.svg.
+Output: report.html, readable offline, tables.csv, tables/*.tex and figures/*.png, *.svg.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ USAGE = "usage: python -m ahnn.report DIR... | run=DIR [output=FOLDER]"
 
 
 def report(arguments: list[str]) -> None:
-    """Write the report that a command line asks for; raises as `cli.reporting`."""
+    """Write the report requested on the command line; raises the errors of `cli.reporting`."""
     with importing():
         from ahnn.cli import reporting
 

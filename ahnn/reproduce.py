@@ -1,16 +1,16 @@
 """Reproduce the paper's tables: `python -m ahnn.reproduce system=mass_spring budget=laptop`.
 
 MLP, NODE, HNN, AHNN3 and AHNN5 with the seeds 7, 201 and 719, each without and with the unscented Kalman
-filter, from the true and from a perturbed start: 15 trainings of equally many steps, each in a folder of its
-own, and a table. The same command goes on where it was stopped.
+filter, from the true and from a perturbed start: 15 trainings with equal numbers of steps, each in its own
+folder, and a table. Repeat the command to resume after an interruption.
 
 system=mass_spring        Table 1; system=molniya is Table 2
 budget=smoke              does it run?  laptop: two cores; paper: a GPU
-run=DIR                   of the runs; runs/reproduce/SYSTEM_BUDGET without it
-experiment=paper_hnn,...  some of paper_mlp, paper_node, paper_hnn, paper_ahnn3, paper_ahnn5
-seed=7                    some of the seeds
-GROUP=OPTION KEY=VALUE    as of python -m ahnn.train, for all models: scaling=minmax, loss=recursive_state
-hydra/launcher=joblib hydra.launcher.n_jobs=2     runs side by side
+run=DIR                   folder of the runs; default runs/reproduce/SYSTEM_BUDGET
+experiment=paper_hnn,...  subset of paper_mlp, paper_node, paper_hnn, paper_ahnn3, paper_ahnn5
+seed=7                    subset of the seeds
+GROUP=OPTION KEY=VALUE    as for python -m ahnn.train, for all models: scaling=minmax, loss=recursive_state
+hydra/launcher=joblib hydra.launcher.n_jobs=2     parallel runs
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ USAGE = "usage: python -m ahnn.reproduce system=. budget=. [run=DIR] [GROUP=OPTI
 
 
 def reproduce(arguments: list[str]) -> None:
-    """Reproduce what a command line asks for; raises as `cli.reproducing`."""
+    """Reproduce the table named on the command line; raises the errors of `cli.reproducing`."""
     reproducing.reproduce(arguments, USAGE)
 
 

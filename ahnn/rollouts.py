@@ -14,7 +14,7 @@ from ahnn.substeps import substeps
 from ahnn.types import Flow, TimeStep
 
 NEEDED = ("the times of the samples", "times and controls of the samples")
-"""What a flow depends on, by whether it has controls."""
+"""Dependencies of a flow for messages, by whether it has controls."""
 
 
 def rollout(
@@ -32,17 +32,17 @@ def rollout(
 
     Args:
         flow: map of a state over one step.
-        start: states at time zero.
-        dt: time step, or (B, samples - 1) with the length of each.
-        samples: length of the result, start included.
-        description: text of a progress bar; None shows none.
-        longest: step of the flow; longer ones are cut into equal parts.
-        gradients: whether they flow through the result, at the cost of the time and memory that they take.
+        start: (B, D) initial states.
+        dt: time step, or (B, samples - 1) step lengths.
+        samples: number of samples of the result, start included.
+        description: text of the progress bar, or None for no bar.
+        longest: maximum step of the flow; longer steps are divided into equal parts.
+        gradients: whether to keep gradients through the result, at a cost in time and memory.
         clock: time and controls of the samples, (B, samples, k) or (samples, k), for a flow that depends on
             them.
 
     Raises:
-        UserError: a flow that depends on time or controls, without them.
+        UserError: missing clock for a flow that depends on time or controls.
     """
     count = clock_of(flow)
     if count and (clock is None or clock.values.shape[-1] < count):
@@ -77,14 +77,14 @@ def _rolled(
 
 
 def stepped(flow: Flow, x: Tensor, dt: TimeStep, clock: Clock | None = None, parts: int = 1) -> Tensor:
-    """Return the states (B, 2n) that x, shape (B, 2n), reaches after dt, in equal parts.
+    """Propagate states x, shape (B, 2n), over dt in equal parts; return (B, 2n).
 
     Args:
         flow: map of a state over one step.
-        x: states.
+        x: (B, 2n) states.
         dt: time step.
-        clock: k clock coordinates where the step begins, as the flow needs them; None where it needs none.
-        parts: into which the step is cut.
+        clock: k clock coordinates at the beginning of the step, or None for an autonomous flow.
+        parts: number of parts of the step.
     """
     z = x if clock is None else extended(x, clock)
     for _ in range(parts):
@@ -93,5 +93,5 @@ def stepped(flow: Flow, x: Tensor, dt: TimeStep, clock: Clock | None = None, par
 
 
 def clock_of(flow: Flow) -> int:
-    """Return k, the clock coordinates of the states of a flow; 0 where it depends on the state alone."""
+    """Return k, the number of clock coordinates of a flow; 0 for an autonomous flow."""
     return getattr(flow, "clock", 0)

@@ -1,4 +1,4 @@
-"""A trained model in Python: what was learned, without trainer, optimiser or configuration.
+"""Trained model for use in Python, without trainer, optimiser or configuration.
 
 states = ahnn.load("molniya_mechanical").rollout(start, steps=1440)
 """
@@ -38,16 +38,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Run:
-    """Learned dynamics with what their numbers mean.
+    """Learned dynamics with the description of their state space.
 
     Attributes:
         dynamics: the flow, a float64 module without gradients: `run.dynamics(x, dt)`.
         space: names and units of the state components.
         dt: sampling interval of the training data, or the step of the integrator between measurements where
             that is shorter, in the unit of time.
-        about: what the weights were trained on, plain values.
-        folder: of the run, or of the shipped model.
-        domain: training states that stand for all; None beside weights of an earlier version.
+        about: description of the training data, plain values.
+        folder: folder of the run, or of the shipped model.
+        domain: representative training states; None for weights of an earlier version.
         uncertainty: covariance of the parameters; None unless these weights were trained on measurements.
     """
 
@@ -61,19 +61,19 @@ class Run:
 
     @property
     def trained(self) -> Dynamics:
-        """The dynamics without a last step of functions, which parameters cannot follow."""
+        """The dynamics before a last step over functions, whose effect parameters cannot express."""
         before = self.uncertainty and self.uncertainty.before
         return before[0] if before else self.dynamics
 
     def flow(self, x: Numbers, dt: Numbers | None = None) -> Tensor:
-        """Return the states (..., 2n) that x, shape (..., 2n), reaches after dt, or a sampling interval.
+        """Propagate states x, shape (..., 2n), over dt, by default one sampling interval.
 
         Args:
             x: states, in the units of the space.
             dt: one time step, or one for each state, shape (...).
 
         Raises:
-            UserError: states or steps that are none.
+            UserError: invalid states or steps.
         """
         x = states_of(x, "x", self.dynamics, self.space)
         step = lengths_of(self.dt if dt is None else dt, x[..., 0])
@@ -81,7 +81,7 @@ class Run:
         return self.dynamics(x.reshape(-1, x.shape[-1]), flat).reshape(x.shape)
 
     def energy(self, x: Numbers) -> Tensor:
-        """Return the learned Hamiltonian, shape (...), at the states x, shape (..., 2n); a constant is free.
+        """Return the learned Hamiltonian, shape (...), at states x, shape (..., 2n), up to a constant.
 
         Raises:
             UserError: the model has no Hamiltonian.
@@ -109,13 +109,12 @@ class Run:
         Args:
             start: (B, 2n) or (2n,) states, in the units of the space.
             steps: number of time steps.
-            dt: time step, or the length of each, (B, steps); the sampling interval of the training data if
-                None.
-            start_time: of the starts, for forces that depend on time.
-            controls: held in each step, (steps, m) or (B, steps, m), for forces that depend on them.
+            dt: time step, or (B, steps) step lengths; by default the sampling interval of the training data.
+            start_time: time of the starts, for forces that depend on time.
+            controls: values of each step, (steps, m) or (B, steps, m), for forces that depend on them.
 
         Raises:
-            UserError: starts, steps or controls that are none.
+            UserError: invalid starts, steps or controls.
         """
         dt = self.dt if dt is None else dt
         x, steps, lengths = paths_of(start, steps, dt, self.dynamics, self.space)
@@ -125,16 +124,15 @@ class Run:
         return rollout(self.dynamics, x, lengths, steps + 1, gradients=gradients, clock=clock)
 
     def band(self, start: Numbers, steps: int, dt: Numbers | None = None) -> Tensor:
-        """Return standard deviations of `rollout`, shape (B, steps + 1, 2n), for exactly known starts.
+        """Return standard deviations of `rollout` from parameters alone, shape (B, steps + 1, 2n).
 
         Args:
             start: (B, 2n) or (2n,) states, in the units of the space.
             steps: number of time steps.
-            dt: time step, or the length of each, (B, steps); the sampling interval of the training data if
-                None.
+            dt: time step, or (B, steps) step lengths; by default the sampling interval of the training data.
 
         Raises:
-            UserError: starts or steps that are none, or the covariance of the parameters is not known.
+            UserError: invalid starts or steps, or an unknown covariance of the parameters.
         """
         if self.uncertainty is None:
             message = (
@@ -149,13 +147,14 @@ class Run:
         return covariances.diagonal(dim1=-2, dim2=-1).sqrt()
 
     def novelty(self, x: Numbers) -> Tensor:
-        """Return how far states x, shape (..., 2n), are from those of the training, shape (...).
+        """Return the distance of states x, shape (..., 2n), from the training states, shape (...).
 
-        The distance is measured in what the networks see; one training state in a hundred is farther than 1
-        from those that stand for all.
+        The distance is measured in the networks' input space and scaled so that one training state in a
+        hundred is
+        farther than 1 from the representative states.
 
         Raises:
-            UserError: the weights do not say where their training data were.
+            UserError: the weights contain no representative training states.
         """
         if self.domain is None:
             message = (
@@ -176,21 +175,21 @@ class Run:
         *,
         linear: bool = False,
     ) -> Prediction:
-        """Return predicted states at given times, with covariance and novelty where they are known.
+        """Return predicted states at given times, with covariance and novelty where available.
 
         Args:
             start: (B, 2n) or (2n,) states at the first of the times, in the units of the space.
-            times: (T,) increasing, in its unit of time; steps are at most that of the training.
-            description: text of a progress bar; None shows none.
-            start_sd: standard deviations of the starts, 2n, or one for positions and one for velocities
-                where n > 1; without them starts are exact.
-            start_covariance: in their place, (2n, 2n) or (B, 2n, 2n).
-            controls: at the times, (T, m) or (B, T, m), each held until the next, for forces that depend on
-                them.
+            times: (T,) increasing, in its unit of time; internal steps are at most the training step.
+            description: text of the progress bar, or None for no bar.
+            start_sd: standard deviations of the starts, 2n, or one for positions and one for velocities where
+                n > 1; by default starts are exact.
+            start_covariance: alternative to `start_sd`, (2n, 2n) or (B, 2n, 2n).
+            controls: values at the times, (T, m) or (B, T, m), each held until the next, for forces that
+                depend on them.
             linear: whether controls are interpolated linearly instead.
 
         Raises:
-            UserError: starts, times or controls that are none, or a damaged file beside the weights.
+            UserError: invalid starts, times or controls, or a damaged covariance file.
         """
         x = starts_of(start, self.dynamics, self.space)
         spread = None if self.uncertainty is None else self.uncertainty.spread
@@ -207,9 +206,9 @@ class Run:
 
     @property
     def constants(self) -> dict[str, tuple[float, float]]:
-        """Learned numbers that mean something by themselves, such as friction: value and standard deviation.
+        """Learned physical constants, such as friction: value and standard deviation.
 
-        The deviation is NaN where the covariance of the parameters is not known.
+        The deviation is NaN where the parameter covariance is unknown.
         """
         spread = None if self.uncertainty is None else self.uncertainty.spread
         found = learned_constants(self._exact, spread)
@@ -217,18 +216,18 @@ class Run:
 
     @cached_property
     def config(self) -> dict[str, Any]:
-        """Configuration of the training, plain values; raises UserError where there is none."""
+        """Configuration of the training as plain values; raises UserError if it is missing."""
         return read_plain(self.folder / "config.yaml")
 
     @cached_property
     def results(self) -> Results:
-        """Scores of the evaluation that followed the training, beside their floors."""
+        """Scores of the evaluation after training, with their floors."""
         from ahnn.evaluation.results import load_results
 
         return load_results(self.folder)
 
     @property
     def _exact(self) -> Dynamics:
-        """The dynamics in float64, where a user has cast them."""
+        """The dynamics in float64, also after a cast by the user."""
         doubles = all(p.dtype == torch.float64 for p in self.dynamics.parameters())
         return self.dynamics if doubles else self.dynamics.frozen()

@@ -1,4 +1,4 @@
-"""What the training split says of sizes: extremes, increments, rates and distances."""
+"""Statistics of the training split: extremes, increments, rates and distances."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ahnn.clock import Clock
 from ahnn.types import TimeStep, Trajectories
 
 CLOSE = 1e-9
-"""Steps that differ by less than this fraction are the same: times are sums, and round."""
+"""Relative tolerance below which steps are equal: times are sums with rounding errors."""
 
 
 class Statistics(NamedTuple):
@@ -22,9 +22,10 @@ class Statistics(NamedTuple):
         increment: root mean square of each component of x_{k+1} - x_k.
         rate: root mean square of each component of (x_{k+1} - x_k) / dt.
         radius: (2,) extremes of the distance |q| from the origin.
-        positions, velocities, forces: (M, n) some positions half-way between samples, dq/dt and dp/dt there.
-        clock: (M, 1 + m) time and controls there.
-        dt: sampling interval; the median of the steps of some trajectories where they differ.
+        positions, velocities, forces: (M, n) a sample of positions midway between samples, with dq/dt and
+            dp/dt.
+        clock: (M, 1 + m) time and controls at these positions.
+        dt: sampling interval; the median step of a sample of trajectories where steps differ.
     """
 
     minimum: Tensor
@@ -39,7 +40,7 @@ class Statistics(NamedTuple):
     dt: float
 
     def without(self, known: Tensor) -> Statistics:
-        """Return the statistics of momenta that forces `known`, (M, n), at the examples do not move."""
+        """Return the statistics after subtraction of forces `known`, (M, n), at the sample positions."""
         left = self.forces - known
         share = left.square().mean(0).sqrt() / self.forces.square().mean(0).sqrt()
         rate_q, rate_p = self.rate.chunk(2)
@@ -47,7 +48,7 @@ class Statistics(NamedTuple):
 
     @classmethod
     def of(cls, trajectories: Trajectories, examples: int = 20_000) -> Statistics:
-        """Return the statistics of trajectories; absent samples and the steps beside them do not count."""
+        """Compute the statistics of trajectories; missing samples and their adjacent steps are ignored."""
         dt = sampling_interval(trajectories)
         uniform = isinstance(dt, float)
         spread = trajectories.spread()
@@ -73,7 +74,7 @@ class Statistics(NamedTuple):
 
 
 class Extent(NamedTuple):
-    """What a part of the trajectories adds to the statistics of all.
+    """Contribution of a subset of the trajectories to the statistics of all.
 
     Attributes:
         minimum, maximum: (D,) extremes of each state component.
@@ -91,7 +92,7 @@ class Extent(NamedTuple):
 
     @classmethod
     def of(cls, part: Trajectories) -> Extent:
-        """Return the extent of trajectories that fit into memory several times."""
+        """Compute the extent of trajectories that fit into memory several times over."""
         flat = part.states[part.present]
         radius = flat.chunk(2, dim=-1)[0].norm(dim=-1)
         _, increments, lengths = steps_of(part)
@@ -106,7 +107,7 @@ class Extent(NamedTuple):
 
 
 def between(trajectories: Trajectories) -> Tensor:
-    """Return time and controls in the middle of the R steps of `steps_of`, (R, 1 + m)."""
+    """Return time and controls at the midpoints of the R steps of `steps_of`, (R, 1 + m)."""
     clock = Clock.of(trajectories.times, trajectories.controls, trajectories.linear).of_steps()
     there = increments_of(trajectories).isfinite().all(-1).flatten()
     half = trajectories.times.diff(dim=1).flatten()[there].unsqueeze(-1) / 2
@@ -114,7 +115,7 @@ def between(trajectories: Trajectories) -> Tensor:
 
 
 def steps_of(trajectories: Trajectories) -> tuple[Tensor, Tensor, Tensor]:
-    """Return where the R steps between neighbouring samples begin, their increments and their lengths.
+    """Return the initial states, increments and lengths of the R steps between neighbouring samples.
 
     Returns:
         Tensors (R, D), (R, D) and (R, 1).
@@ -126,13 +127,13 @@ def steps_of(trajectories: Trajectories) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def increments_of(trajectories: Trajectories) -> Tensor:
-    """Return x_{k+1} - x_k, shape (B, T - 1, D), NaN beside a sample that is absent."""
+    """Return x_{k+1} - x_k, shape (B, T - 1, D), NaN next to a missing sample."""
     states = trajectories.states
     return states[:, 1:] - states[:, :-1]
 
 
 def sampling_interval(trajectories: Trajectories) -> TimeStep:
-    """Return the one step between neighbouring samples, or all of them, (B, T - 1), where they differ."""
+    """Return the common step between neighbouring samples, or all steps, (B, T - 1), where they differ."""
     times, count = trajectories.times, len(trajectories.times)
     if times.stride(0) == 0:  # one row for all
         times = times[:1]
@@ -141,6 +142,6 @@ def sampling_interval(trajectories: Trajectories) -> TimeStep:
     if not len(known):
         return 0.0
     dt = float(known[0])
-    # Times are sums of steps: their rounding grows with the time and not with the step.
+    # Times are sums of steps: their rounding error grows with time, not with the step.
     slack = CLOSE * abs(dt) + 4 * torch.finfo(times.dtype).eps * float(times[times.isfinite()].abs().max())
     return dt if float((known - dt).abs().max()) <= slack else steps.expand(count, -1)

@@ -1,7 +1,7 @@
-"""What stands beside weights: one schema with types and limits, which every door reads.
+"""Schema of the metadata stored with weights, with types and limits, shared by all readers.
 
-A run folder is shared between people, so nothing of it is taken as it is. Fields of other packages, which no
-schema names, are kept.
+Run folders are exchanged between people, so their content is validated. Fields of other packages, absent from
+every schema, are kept.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, kw_only=True)
 class About:
-    """What weights belong to."""
+    """Metadata of weights."""
 
     dynamics: dict[str, Any]
     space: dict[str, Any]
@@ -32,7 +32,7 @@ class About:
 
 @dataclass(frozen=True, kw_only=True)
 class Made:
-    """What every kind of dynamics is made of; the rest is checked by its own class."""
+    """Fields common to all kinds of dynamics; each class checks its own further fields."""
 
     kind: Text
     dof: Count
@@ -41,7 +41,7 @@ class Made:
 
 @dataclass(frozen=True, kw_only=True)
 class Numbers:
-    """What the numbers of a state mean."""
+    """Description of the state space."""
 
     name: Text
     components: list[Text]
@@ -55,7 +55,7 @@ class Numbers:
 
 @dataclass(frozen=True, kw_only=True)
 class Data:
-    """Which trajectories a training was made of."""
+    """Provenance of the training trajectories."""
 
     recipe: dict[str, Any]
     split: tuple[Positive, Positive, Positive]
@@ -63,7 +63,7 @@ class Data:
 
 @dataclass(frozen=True, kw_only=True)
 class Known:
-    """Training states that stand for all, in inputs of the networks."""
+    """Representative training states, in network inputs."""
 
     unit: Positive
     states: list[list[Finite]]
@@ -71,7 +71,7 @@ class Known:
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """What stands beside a covariance of parameters."""
+    """Metadata of a parameter covariance."""
 
     weights: str
     inflation: Annotated[float, Within(1)]
@@ -79,10 +79,10 @@ class Spread:
 
 
 def read(who: str, schema: type[T], content: Any) -> T:
-    """Return the fields of a schema from plain values; others are left alone.
+    """Read the fields of a schema from plain values; other fields are ignored.
 
     Raises:
-        UserError: no keys with values, a field that is missing, of another type or beyond its limits.
+        UserError: not a mapping, or a field that is missing, of the wrong type or outside its limits.
     """
     if not isinstance(content, Mapping):
         message = f"{who}: expected keys with values; received {str(content)[:40]!r}"
@@ -93,10 +93,10 @@ def read(who: str, schema: type[T], content: Any) -> T:
 
 
 def read_about(who: str, content: Any) -> tuple[About, Space]:
-    """Return what weights belong to, and what the numbers of their states mean.
+    """Read the metadata of weights and the description of their state space.
 
     Raises:
-        UserError: a field is missing, of another type, beyond its limits, or does not fit the others.
+        UserError: a field is missing, of the wrong type, outside its limits, or inconsistent with the others.
     """
     about = read(who, About, content)
     made = read(f"{who}.dynamics", Made, {"dof": 1, **about.dynamics})

@@ -1,6 +1,7 @@
 """Train a model and evaluate it: `python -m ahnn.train model=ahnn window=5 system=molniya`.
 
-`cli.training` is the task, `cli.prepare` turns its configuration into one value, `jobs` fits and evaluates.
+`cli.training` defines the task, `cli.prepare` converts its configuration to one value, `jobs` fits and
+evaluates.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from ahnn.cli.training import train
 
 def main() -> None:
     """Entry point of `python -m ahnn.train` and `ahnn-train`."""
-    os.environ.setdefault("TORCH_CPP_LOG_LEVEL", "ERROR")  # DDP warns of what is intended
+    os.environ.setdefault("TORCH_CPP_LOG_LEVEL", "ERROR")  # DDP warns of intended behaviour
     run_hydra(train)
 
 

@@ -1,4 +1,4 @@
-"""Vocabulary of the whole package: the legend of tensor shapes, and the interfaces at its seams.
+"""Shared types: the legend of tensor shapes, and the interfaces between packages.
 
 Shape suffixes, used in names and docstrings everywhere:
 
@@ -21,11 +21,11 @@ from ahnn.clock import Clock
 from ahnn.errors import UserError
 
 TimeStep = float | Tensor
-"""A time step in the unit of the space: one number, or a (B,) tensor with one step for each member."""
+"""A time step in the unit of the space: a number, or a (B,) tensor with one step per member."""
 
 
 PART = 2**27
-"""Bytes of states that are worked on at once; what is stored may be larger than the memory."""
+"""Number of bytes of states processed at once; stored data may exceed the memory."""
 
 
 class VectorField(Protocol):
@@ -38,7 +38,7 @@ class VectorField(Protocol):
 
 @runtime_checkable
 class SeparableField(Protocol):
-    """Field of a separable Hamiltonian T(p) + V(q): dq/dt depends on p alone, dp/dt on q alone."""
+    """Vector field of a separable Hamiltonian T(p) + V(q): dq/dt depends on p alone, dp/dt on q alone."""
 
     def __call__(self, x: Tensor) -> Tensor:
         """Return dx/dt, shape (..., D), at the states x, shape (..., D)."""
@@ -54,15 +54,15 @@ class SeparableField(Protocol):
 
 
 class Flow(Protocol):
-    """Map of a state over one time step: exact, integrated or learned."""
+    """State transition over one time step: exact, integrated or learned."""
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
-        """Return the states (B, D) that the states x, shape (B, D), reach after dt."""
+        """Propagate states x, shape (B, D), over dt; return (B, D)."""
         ...
 
 
 class Units(NamedTuple):
-    """Names of the units in which numbers are given."""
+    """Names of the physical units."""
 
     time: str = "1"
     position: str = "1"
@@ -71,18 +71,18 @@ class Units(NamedTuple):
 
 
 class Space(NamedTuple):
-    """What the numbers of a state mean, without any equation.
+    """Description of a state space: names, units and conventions, without equations of motion.
 
     Attributes:
-        name: of the system, in folders and tables.
+        name: name of the system, in folders and tables.
         components: names of the 2n state components, positions first.
         units: of time, position, velocity and energy.
         inertia: the factor m of p = m dq/dt, or one for each coordinate; momenta divided by it are
             velocities.
-        frame: in which positions are given, such as `EME2000, EARTH`; "" where nobody said.
-        mechanical: whether p = m dq/dt holds; momenta of another H, with a matrix of masses or in a rotating
-            frame, are not called velocities (`ahnn.labels`).
-        controls: names of numbers that are set from outside, on which the motion depends.
+        frame: reference frame of the positions, such as `EME2000, EARTH`; "" if unspecified.
+        mechanical: whether p = m dq/dt holds; momenta of other Hamiltonians, with a mass matrix or in a
+            rotating frame, are not labelled velocities (`ahnn.labels`).
+        controls: names of external inputs on which the motion depends.
         angles: names of coordinates that are angles in rad, of period 2 pi; all of them where positions are
             in rad.
     """
@@ -98,7 +98,7 @@ class Space(NamedTuple):
 
     @property
     def angular(self) -> list[bool]:
-        """Which of the n coordinates are angles."""
+        """Mask of the coordinates that are angles, n values."""
         every = self.units.position == "rad"
         return [every or name in self.angles for name in self.components[: self.dof]]
 
@@ -114,12 +114,12 @@ class Space(NamedTuple):
 
     @property
     def divisor(self) -> float | Tensor:
-        """What momenta are divided by where people read them: m where that gives velocities, else 1."""
+        """Divisor of momenta in output: m where this gives velocities, else 1."""
         return self.factor if self.mechanical else 1.0
 
     @property
     def scales(self) -> Tensor:
-        """What each component is divided by where people read it, (2n,) float64."""
+        """Divisor of each state component in output, (2n,) float64."""
         ones = torch.ones(self.dof, dtype=torch.float64)
         return torch.cat((ones, ones * self.divisor))
 
@@ -128,7 +128,7 @@ class Space(NamedTuple):
         """The one mass of a body in space.
 
         Raises:
-            UserError: coordinates of several masses.
+            UserError: coordinates with different masses.
         """
         factor = self.factor
         if isinstance(factor, Tensor):
@@ -145,13 +145,13 @@ def as_factor(inertia: float | Sequence[float]) -> float | Tensor:
 
 
 class Trajectories(NamedTuple):
-    """Sampled trajectories of one system, on a common number of rows.
+    """Sampled trajectories of one system, padded to a common number of samples.
 
     Attributes:
-        states: (B, T, D) float64; a sample with any NaN is absent.
-        times: (B, T) float64, increasing in each row; NaN only where the sample is absent.
-        controls: (B, T, m) float64, those of each sample on; None where nothing is controlled.
-        linear: whether controls are interpolated linearly between samples; else they are held.
+        states: (B, T, D) float64; a sample with any NaN is missing.
+        times: (B, T) float64, increasing in each row; NaN only where the sample is missing.
+        controls: (B, T, m) float64, valid from each sample on; None without controls.
+        linear: whether controls are interpolated linearly between samples instead of held.
     """
 
     states: Tensor
@@ -160,32 +160,32 @@ class Trajectories(NamedTuple):
     linear: bool = False
 
     def clock(self, count: int) -> Clock | None:
-        """Return the first k = `count` clock coordinates of all samples, (B, T, k); None of none."""
+        """Return the first k = `count` clock coordinates of all samples, (B, T, k); None for k = 0."""
         return Clock.of(self.times, self.controls, self.linear).first(count) if count else None
 
     @property
     def present(self) -> Tensor:
-        """(B, T) bool, whether a sample is there."""
+        """(B, T) bool, whether a sample is present."""
         return self.states.isfinite().all(-1) & self.times.isfinite()
 
     def part(self, rows: slice) -> Trajectories:
-        """Return some of the trajectories."""
+        """Return selected trajectories."""
         controls = None if self.controls is None else self.controls[rows]
         return self._replace(states=self.states[rows], times=self.times[rows], controls=controls)
 
     def parts(self) -> Iterator[Trajectories]:
-        """Yield all trajectories in their order, so many at once as `PART` holds."""
+        """Yield all trajectories in order, in batches of at most `PART` bytes."""
         many = rows_of_part(*self.states.shape[1:])
         for begin in range(0, len(self.states), many):
             yield self.part(slice(begin, begin + many))
 
     def spread(self) -> Trajectories:
-        """Return evenly spread trajectories that `PART` holds: all of them where it holds all."""
+        """Return an evenly spaced subset of at most `PART` bytes: all trajectories if they fit."""
         return self.part(slice(None, None, -(-len(self.states) // rows_of_part(*self.states.shape[1:]))))
 
 
 def rows_of_part(samples: int, size: int) -> int:
-    """Return how many trajectories of so many samples and components `PART` holds, at least one."""
+    """Return how many trajectories of given samples and components fit into `PART`, at least one."""
     return max(1, PART // (8 * samples * size))
 
 
@@ -198,10 +198,10 @@ class Window(NamedTuple):
     Attributes:
         start: (B, D) first state of each window.
         increments: (B, W, D), row k is x_{k+1} - x_k.
-        dt: length of every step, or (B, W) with the length of each.
+        dt: common step length, or (B, W) step lengths.
         weight: factor of the batch's mean loss. It is 1 unless several devices divide a batch into unequal
-            parts: B windows over the mean number of a part, so that the mean over the devices is that of all
-            windows; 0 for a part without any, which then holds one window that does not count.
+            parts: B divided by the mean number of windows per part, so that the mean over devices equals that
+                over all windows; 0 for an empty part, which then contains one ignored window.
     """
 
     start: Tensor
@@ -214,11 +214,11 @@ class Window(NamedTuple):
         return self.dt[:, k] if isinstance(self.dt, Tensor) else self.dt
 
     def first(self, steps: int) -> Window:
-        """Return the windows cut to their first steps."""
+        """Return the windows truncated to their first steps."""
         dt = self.dt[:, :steps] if isinstance(self.dt, Tensor) else self.dt
         return self._replace(increments=self.increments[:, :steps], dt=dt)
 
     def rows(self, part: slice) -> Window:
-        """Return some of the windows."""
+        """Return selected windows."""
         dt = self.dt[part] if isinstance(self.dt, Tensor) else self.dt
         return self._replace(start=self.start[part], increments=self.increments[part], dt=dt)

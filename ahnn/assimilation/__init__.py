@@ -1,4 +1,4 @@
-"""The filter online: measurements line by line as they come, estimates out, a state that survives a kill."""
+"""Online filtering: measurements are read line by line, estimates written, and the state saved."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an assimilation wrote, read again: as many rows as a picture or an ephemeris takes."""
+"""Reading of an assimilation's output, thinned for figures and ephemerides."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ from ahnn.types import Space
 
 Array = NDArray[np.float64]
 MOST = 10_000
-"""Rows that are kept of an output, evenly spread over it."""
+"""Maximum number of rows kept of an output, evenly spread."""
 
 
 class AssimilationRecord(NamedTuple):
-    """Rows of an output, the last one of each time.
+    """Selected rows of an output, the last one at each time.
 
     Attributes:
-        time: (T,) increasing.
-        mean: (T, D).
-        covariance: (T, D, D).
-        outcome: (T,) words.
-        nis, dof: (T,).
+        time: (T,) increasing times.
+        mean: (T, D) estimates.
+        covariance: (T, D, D) covariances.
+        outcome: (T,) outcomes in words.
+        nis, dof: (T,) normalised innovation squared and its degrees of freedom.
         measured: names of the measured numbers.
-        innovation, deviation: (T, M), NaN where a number is missing.
+        innovation, deviation: (T, M) innovations and their standard deviations, NaN where a number is
+            missing.
     """
 
     time: Array
@@ -48,7 +49,7 @@ def read_record(path: Path, space: Space, most: int = MOST) -> AssimilationRecor
     """Return at most so many rows of an output, the last one among them, in constant memory.
 
     Raises:
-        UserError: it holds no rows.
+        UserError: the output has no rows.
     """
     stride = max(1, -(-sum(1 for _ in rows_of(path)) // most))
     kept: dict[float, dict[str, Any]] = {}
@@ -86,10 +87,10 @@ def _number(cell: Any) -> float:
 
 
 def require_orbit(space: Space, reference: Reference) -> None:
-    """Refuse an ephemeris of what is no orbit, or of which frame, centre or epoch are unknown.
+    """Check that estimates form an orbit with known frame, centre and epoch.
 
     Raises:
-        UserError: names the keys that say what is missing.
+        UserError: they do not; the message names the missing keys.
     """
     if len(space.components) != 6 or space.units[:3] != ("s", "km", "km/s"):
         message = (
@@ -109,14 +110,14 @@ def require_orbit(space: Space, reference: Reference) -> None:
 def write_ephemeris(
     path: Path, record: AssimilationRecord, space: Space, name: str, reference: Reference
 ) -> None:
-    """Write the estimates of an orbit with their covariances as an orbit ephemeris message.
+    """Write orbit estimates with covariances as an orbit ephemeris message.
 
     Args:
-        path: of the message.
-        record: the estimates, in km and, of momenta, km/s times the mass.
-        space: what the numbers mean.
-        name: of the object.
-        reference: frame, centre, clock and epoch of time zero.
+        path: path of the message.
+        record: estimates, positions in km and momenta in km/s times mass.
+        space: description of the state components.
+        name: name of the object.
+        reference: frame, centre, time scale and epoch of time zero.
 
     Raises:
         UserError: see `require_orbit`.

@@ -1,4 +1,4 @@
-"""Many objects followed at once: a filter of each, in steps that all of them take together."""
+"""Filtering of many objects at once: one filter per object, advanced in common batches."""
 
 from __future__ import annotations
 
@@ -26,27 +26,26 @@ from ahnn.rollouts import clock_of
 
 
 class Catalogue:
-    """Filters of many objects, each as `Assimilation` follows one.
+    """Filters of many objects, each equivalent to an `Assimilation`.
 
-    Readings come in tables. The k-th readings of all objects of a table are one step of a batch in which
-    each object has its own time: the estimates of an object are those of a filter of its own, to rounding.
-    An object whose filter fails is lost: its last sound belief is kept, its later readings do not count, and
-    others go on.
+    Readings arrive in tables. The k-th readings of all objects in a table form one batch step in which each
+    object has its own time: estimates equal those of individual filters, to rounding. An object whose filter
+    fails is lost: its last valid belief is kept, its later readings are ignored, and other objects continue.
 
     Args:
-        process: a filter of Gaussian beliefs and its process model, without controls.
-        sensors: by name.
-        start: beliefs about the states of the objects; or one belief, with which every object begins when it
-            is first measured.
-        objects: their names; None where they are not known before.
-        times: at which the beliefs hold, one or one for each.
-        window: readings that come late by up to this are put in their place and later ones replayed.
-        lines: most readings of an object that are kept for that.
-        gap: a reading that lies further ahead is refused; None is 10,000 steps of the flow.
+        process: a Gaussian filter and its process model, without controls.
+        sensors: sensors by name.
+        start: beliefs about the states of the objects, or one initial belief for every object at its first
+            measurement.
+        objects: names of the objects; None if unknown in advance.
+        times: times of the beliefs, common or per object.
+        window: largest delay of a late reading, which is inserted at its time while later ones are replayed.
+        lines: largest number of readings kept per object for replay.
+        gap: largest time ahead of an accepted reading; None for 10,000 steps of the flow.
 
     Raises:
-        UserError: a value beyond its limits, another number of starts than of names, a name twice, a filter
-            of other beliefs, or a process model with controls.
+        UserError: a value outside its limits, unequal numbers of starts and names, a duplicate name, a filter
+            without Gaussian beliefs, or a process model with controls.
     """
 
     @checked
@@ -88,11 +87,10 @@ class Catalogue:
 
     @torch.no_grad()
     def update(self, readings: ReadingTable) -> CatalogueEstimates:
-        """Return the estimates after readings, each merged in its place if it comes late.
+        """Process readings, merging late ones at their times, and return the estimates after each.
 
         Raises:
-            UserError: columns of other lengths or shapes, a sensor that there is none of, or times that are
-                not finite.
+            UserError: columns of wrong lengths or shapes, an unknown sensor, or times that are not finite.
         """
         self._require_fitting(readings)
         found = CatalogueEstimates.unknown(len(readings.objects), self.size, len(self.columns))
@@ -109,17 +107,17 @@ class Catalogue:
         sensor: str | None = None,
         deviations: Numbers | None = None,
     ) -> ReadingTable:
-        """Return readings of one sensor as a table.
+        """Build a table of readings of one sensor.
 
         Args:
-            objects: K names.
-            times: (K,).
-            values: (K, M) numbers of the sensor, NaN where one is missing.
-            sensor: its name; None where there is one.
-            deviations: (K, M) standard deviations in place of those of the sensor, NaN for these.
+            objects: K object names.
+            times: (K,) times.
+            values: (K, M) measured values, NaN where missing.
+            sensor: name of the sensor; None if there is only one.
+            deviations: (K, M) standard deviations, NaN for those of the sensor.
 
         Raises:
-            UserError: a sensor that there is none of, or numbers of another shape.
+            UserError: an unknown sensor, or values of a wrong shape.
         """
         names = [*self.sensors]
         chosen = names[0] if sensor is None and len(names) == 1 else sensor
@@ -140,7 +138,7 @@ class Catalogue:
 
     @property
     def names(self) -> list[str]:
-        """Names of the objects that are followed or lost."""
+        """Names of all tracked and lost objects."""
         return [*self.objects.names]
 
     def beliefs(self) -> tuple[Array, Belief]:
@@ -150,36 +148,36 @@ class Catalogue:
 
     @property
     def lost(self) -> dict[str, Status]:
-        """By name what ended the filters of objects that are lost."""
+        """Reason for the failure of each lost object, by name."""
         pairs = zip(self.names, self.objects.lost.tolist(), strict=True)
         return {name: Status(status) for name, status in pairs if status}
 
     @property
     def identity(self) -> str:
-        """What determines the estimates besides starts and readings, in 32 hexadecimal digits."""
+        """Hash of all that determines estimates except starts and readings, 32 hexadecimal digits."""
         return self.models.identity((*self.limits, self.process.max_step))
 
     def save(self, path: str | Path, notes: Mapping[str, str] | None = None) -> None:
-        """Write all that is needed to go on; the file appears whole or not at all.
+        """Save the complete state atomically, for resuming.
 
         Args:
-            path: of the file.
-            notes: texts that are kept beside the beliefs.
+            path: path of the file.
+            notes: additional texts saved with the beliefs.
         """
         write_catalogue(self.objects, Path(path), self.identity, notes or {})
 
     @torch.no_grad()
     def load(self, path: str | Path) -> dict[str, str]:
-        """Go on where `save` was called, and return the notes that were kept there.
+        """Restore the state written by `save`, and return its notes.
 
         Raises:
-            UserError: no such file, a damaged one, or one of another process, sensors or window.
+            UserError: a missing or damaged file, or one of another process, sensors or window.
         """
         known = None if self.newcomer is not None else self.names
         return read_catalogue(self.objects, Path(path), self.identity, known, len(self.columns))
 
     def _numbers(self, objects: list[str]) -> Places:
-        """Return the numbers of objects, -1 of those that are unknown and do not begin now."""
+        """Return the indices of objects, -1 for unknown objects that cannot be added."""
         known = self.objects.names
         if self.newcomer is not None and (new := [*dict.fromkeys(o for o in objects if o not in known)]):
             state, time = self.newcomer
@@ -187,7 +185,7 @@ class Catalogue:
         return np.array([known.get(name, -1) for name in objects], dtype=np.int64)
 
     def _require_fitting(self, readings: ReadingTable) -> None:
-        """Refuse columns that are no readings; raises UserError."""
+        """Raise UserError for columns that are not valid readings."""
         objects, times, sensors, values, deviations = readings
         count, wide = (len(objects),), (len(objects), len(self.columns))
         shapes = [part.shape for part in (times, sensors, values, deviations)]
@@ -212,7 +210,7 @@ class Catalogue:
 
 
 def _checked_starts(start: Belief, names: list[str] | None, times: Numbers) -> Array:
-    """Return the times (N,) of the starts of objects; raises UserError."""
+    """Validate the starts of objects and return their times (N,); raises UserError."""
     count = len(start.mean)
     if names is None and count != 1:
         message = f"start: expected one belief where no objects are named; received {count}"
@@ -232,7 +230,7 @@ def _checked_starts(start: Belief, names: list[str] | None, times: Numbers) -> A
 
 
 def _spelled(start: Belief, names: list[str], times: Array) -> dict[str, str]:
-    """Return the hashes of starts, by the keys that say them."""
+    """Return hashes of starts, by the keys of the configuration."""
     parts = {
         "start": "\n".join(names).encode() + start.mean.numpy().tobytes(),
         "start_sd": start.covariance.numpy().tobytes(),

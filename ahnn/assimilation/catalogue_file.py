@@ -1,4 +1,4 @@
-"""Beliefs of a catalogue on disk, with what each object keeps: restored bit for bit, unpickling nothing."""
+"""Saving of a catalogue's beliefs and reading windows: restored bit for bit, without unpickling."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from ahnn.estimation.member_steps import member_rows
 from ahnn.files import write_state
 
 FORMAT = "ahnn catalogue 1"
-"""Raise the number when the meaning of a stored tensor changes."""
+"""Version number, increased when the meaning of a stored tensor changes."""
 BELIEFS = ("status", "failed_step", "rejections", "repairs", "log_likelihood")
-"""What a row has besides mean and factor."""
+"""Columns of a row besides mean and factor."""
 OTHERS = "Go on with the same command, or remove it and its output to begin again"
 
 
 def write_catalogue(objects: FollowedObjects, path: Path, identity: str, notes: Mapping[str, str]) -> None:
-    """Write objects; the file appears whole or not at all."""
+    """Write objects to a file atomically."""
     kept = [*chain.from_iterable(objects.windows)]
     slots = np.array([one.slot for one in kept], dtype=np.int64)
     used, places = np.unique(slots, return_inverse=True)
@@ -54,23 +54,23 @@ def write_catalogue(objects: FollowedObjects, path: Path, identity: str, notes: 
 def read_catalogue(
     objects: FollowedObjects, path: Path, identity: str, names: list[str] | None, width: int
 ) -> dict[str, str]:
-    """Restore objects from a file, and return the notes that were kept there.
+    """Restore objects from a file, and return its notes.
 
     Args:
-        objects: are written to, once all is read.
-        path: of the file.
-        identity: of the filters.
-        names: of the objects; None where they are not known before.
-        width: W.
+        objects: container to fill, once the file has been read completely.
+        path: path of the file.
+        identity: identity hash of the filters.
+        names: names of the objects; None if unknown in advance.
+        width: number W of columns.
 
     Raises:
-        UserError: no such file, a damaged one, or one of other filters or objects.
+        UserError: a missing or damaged file, or one of other filters or objects.
     """
     try:
         content, about = read_safetensors(path, "state")
         if about.get("format") != FORMAT:
             message = "another format"
-            raise ValueError(message)  # noqa: TRY301 - one message for all that is wrong
+            raise ValueError(message)  # noqa: TRY301 - one message for every kind of damage
         state = _state(content, objects.state)
         restored = _windows(content, len(state.status), width)
         parts = [content[name].numpy() for name in ("since", "lost")]
@@ -94,7 +94,7 @@ def read_catalogue(
 
 
 def _state(content: dict[str, Tensor], like: FilterState) -> FilterState:
-    """Return the rows of a state; raises ValueError where they are no sound beliefs like others."""
+    """Return the rows of a state; raises ValueError for invalid beliefs."""
     parts: dict[str, Any] = {name: content[name] for name in BELIEFS}
     belief = Belief(content["mean"], content["chol"])
     count, size = len(belief.mean), like.belief.mean.shape[-1]
@@ -109,7 +109,7 @@ def _state(content: dict[str, Tensor], like: FilterState) -> FilterState:
 
 
 def _windows(content: dict[str, Tensor], rows: int, width: int) -> list[ObjectWindow]:
-    """Return what objects keep; raises ValueError where that is not what was written."""
+    """Return the reading windows of objects; raises ValueError for invalid content."""
     names = ("times", "slots", "sensors", "there", "values", "deviations")
     columns = [content[name].tolist() for name in names]
     counts, slots = content["counts"], content["slots"]

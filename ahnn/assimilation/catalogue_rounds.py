@@ -1,4 +1,4 @@
-"""A round of a catalogue: at most one reading of each object, in its place, and what is later replayed."""
+"""Rounds of a catalogue: at most one reading per object, inserted at its time, with replay of later ones."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TAKEN, REOPENED, REJECTED, PREDICTED, REPEATED, LATE, AHEAD, BAD, GONE = range(l
 
 
 class Limits(NamedTuple):
-    """How late readings may come, how many are kept for that, and how far ahead they may lie."""
+    """Limits on the delay of readings, the number kept for replay, and their time ahead."""
 
     window: float
     lines: int
@@ -25,14 +25,14 @@ class Limits(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """Readings of B objects that are filtered.
+    """Readings of B objects to be filtered.
 
     Attributes:
-        rows: (B,) of the table.
-        numbers: (B,) of the objects.
-        slots: (B,) rows of the beliefs that they follow.
-        since: (B,) times of these.
-        later: by the number of the candidate what its object has after the reading.
+        rows: (B,) rows in the table.
+        numbers: (B,) indices of the objects.
+        slots: (B,) rows of the preceding beliefs.
+        since: (B,) times of these beliefs.
+        later: readings of the object after the candidate, by candidate index.
     """
 
     rows: Places
@@ -43,25 +43,25 @@ class Candidates(NamedTuple):
 
 
 class CatalogueRounds:
-    """Rounds of readings of followed objects.
+    """Processing of readings of tracked objects in rounds.
 
     Args:
-        objects: that are followed.
-        updates: their filters.
-        limits: of their readings.
+        objects: tracked objects.
+        updates: filters of the objects.
+        limits: limits on their readings.
     """
 
     def __init__(self, objects: FollowedObjects, updates: MemberUpdates, limits: Limits) -> None:
         self.objects, self.updates, self.limits = objects, updates, limits
 
     def take(self, rows: Places, numbers: Places, readings: ReadingTable, found: CatalogueEstimates) -> None:
-        """Take one reading of each of some objects, and write what became of it.
+        """Process one reading for each of some objects, and record its outcome.
 
         Args:
-            rows: (B,) of the readings.
-            numbers: (B,) of their objects, each once.
-            readings: of which they are rows.
-            found: is written to.
+            rows: (B,) rows of the readings.
+            numbers: (B,) distinct indices of their objects.
+            readings: table that contains the rows.
+            found: estimates to be filled.
         """
         fates = self._refused(readings.times[rows], numbers)
         candidates = self._candidates(rows, numbers, readings, fates)
@@ -74,7 +74,7 @@ class CatalogueRounds:
         found.means[place], found.covariances[place] = belief.mean, belief.covariance
 
     def _refused(self, times: Array, numbers: Places) -> Places:
-        """Return which readings do not count by their times alone, as fates; -1 of others."""
+        """Return the fates of readings rejected by their times alone, -1 for others."""
         now, fates = self.objects.times[numbers], np.full(len(times), -1)
         fates[times < np.maximum(now - self.limits.window, self.objects.since[numbers])] = LATE
         fates[times > now + self.limits.gap] = AHEAD
@@ -82,7 +82,7 @@ class CatalogueRounds:
         return fates
 
     def _candidates(self, rows: Places, numbers: Places, readings: ReadingTable, fates: Places) -> Candidates:
-        """Return the readings that are filtered; those that were there before get their fate."""
+        """Return the readings to be filtered; duplicates receive their fate."""
         objects, times = self.objects, readings.times[rows]
         slots, since, later = objects.newest[numbers], objects.times[numbers], dict[int, list[KeptRow]]()
         for k in np.flatnonzero((fates < 0) & (times <= since)).tolist():
@@ -99,7 +99,7 @@ class CatalogueRounds:
         return Candidates(rows[chosen], numbers[chosen], slots[chosen], since[chosen], later)
 
     def _filter(self, chosen: Candidates, readings: ReadingTable, found: CatalogueEstimates) -> None:
-        """Filter readings, replay what is later, keep what is sound, and write what was told."""
+        """Filter readings, replay later ones, keep valid results, and record the innovations."""
         _, times, sensors, values, deviations = readings
         given = MeasuredRows(times, sensors, values, deviations).at(chosen.rows)
         told, targets = self._step(chosen.numbers, chosen.slots, chosen.since, given)
@@ -122,7 +122,7 @@ class CatalogueRounds:
             found.replayed[chosen.rows[j]] = len(chosen.later[j])
 
     def _step(self, numbers: Places, slots: Places, since: Array, given: MeasuredRows) -> tuple[Told, Places]:
-        """Filter readings; return what they told, and the rows of the beliefs after them, of who is sound."""
+        """Filter readings; return the innovations, and the rows of posterior beliefs for valid members."""
         objects = self.objects
         told = self.updates.filtered(objects.state, numbers, slots, since, given)
         sound = told.statuses.numpy() == 0
@@ -142,7 +142,7 @@ class CatalogueRounds:
         statuses: Places,
         faults: dict[int, KeptRow],
     ) -> None:
-        """Filter what is later again, one reading of each object at a time; who fails gives its rows back."""
+        """Replay later readings, one per object at a time; failed members release their rows."""
         wave, later = 0, chosen.later
         while live := [j for j in chains if wave < len(later[j])]:
             again, last = [later[j][wave] for j in live], [chains[j][-1] for j in live]
@@ -164,7 +164,7 @@ class CatalogueRounds:
         sound: Places,
         chains: dict[int, list[KeptRow]],
     ) -> None:
-        """Put sound readings, and what was replayed behind them, into the windows of their objects."""
+        """Insert valid readings and the replayed later ones into the windows of their objects."""
         objects, (window, lines, _) = self.objects, self.limits
         numbers = chosen.numbers[sound]
         plain = np.setdiff1d(sound, [*chains]).astype(np.int64) if chains else sound
@@ -192,7 +192,7 @@ class CatalogueRounds:
                 objects.since[number] = kept[0].time
 
     def _fail(self, row: int, number: int, status: int, by: KeptRow, found: CatalogueEstimates) -> None:
-        """Write why a reading does not count; a filter that failed is lost."""
+        """Record why a reading is ignored; mark failed filters as lost."""
         updates = self.updates
         name = updates.names[by.sensor] if by.sensor >= 0 else ""
         if status != FAULT:
@@ -207,7 +207,7 @@ class CatalogueRounds:
 
 
 def _kept(given: MeasuredRows, j: int, slot: int) -> KeptRow:
-    """Return one of some readings as a window keeps it."""
+    """Return one reading in the form kept in a window."""
     time, sensor, values, deviations = (part[j].tolist() for part in given)
     return KeptRow(time, slot, sensor, values, deviations)
 

@@ -1,4 +1,4 @@
-"""Estimates of many objects as rows of text under the names that those of one object have."""
+"""Output of many objects' estimates as text rows, with the column names used for one object."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from ahnn.data.estimate_table import FIRST
 from ahnn.data.files.sidecar import Sidecar
 
 OBJECT = "object"
-"""Name of the column that says whose estimate a row is."""
+"""Name of the column with the object's name."""
 
 
 class CatalogueRows(Rows):
-    """Rows of a catalogue; arguments as of `Rows`."""
+    """Output rows of a catalogue; arguments as in `Rows`."""
 
     def __init__(
         self,
@@ -35,15 +35,15 @@ class CatalogueRows(Rows):
     ) -> None:
         super().__init__(components, sensors, kind, said, scales=scales)
         self.names.insert(1, OBJECT)
-        self.sensors = [*sensors, ""]  # -1 is none
+        self.sensors = [*sensors, ""]  # -1 marks no sensor
 
     def columns(self, lines: list[int], readings: ReadingTable, found: CatalogueEstimates) -> dict[str, Any]:
-        """Return what goes out of readings, of those that counted, by the names of the columns.
+        """Return the output of accepted readings by column name.
 
         Args:
-            lines: K numbers of the lines.
-            readings: K of them.
-            found: the estimates after them.
+            lines: (K,) line numbers.
+            readings: K readings.
+            found: estimates after the readings.
         """
         chosen, outcomes = np.flatnonzero(found.counted), found.outcomes
         first = {
@@ -60,13 +60,13 @@ class CatalogueRows(Rows):
         return first | dict(zip(self.names[len(first) :], numbers.T, strict=True))
 
     def batch(self, lines: list[int], readings: ReadingTable, found: CatalogueEstimates) -> str | bytes:
-        """Return what is written of readings that counted; arguments as of `columns`."""
+        """Return the output of accepted readings as a batch; arguments as in `columns`."""
         if self.kind == "parquet":
             return packed_table(self.columns(lines, readings, found))
         return self.text(lines, readings, found)
 
     def text(self, lines: list[int], readings: ReadingTable, found: CatalogueEstimates) -> str:
-        """Return the rows of readings, of those that counted; arguments as of `columns`."""
+        """Return the text rows of accepted readings; arguments as in `columns`."""
         table = self.columns(lines, readings, found)
         if self.kind != "csv":
             parts = [column if isinstance(column, list) else column.tolist() for column in table.values()]

@@ -1,4 +1,4 @@
-"""A stream of many objects, assimilated a table of lines at a time."""
+"""Assimilation of a stream of many objects, in tables of lines."""
 
 from __future__ import annotations
 
@@ -25,15 +25,16 @@ from ahnn.errors import UserError
 log = logging.getLogger("ahnn")
 
 SAID = 5
-"""Lines of a table that are told one by one for each outcome; of others it is told how many there are."""
+"""Number of lines per table reported individually for each outcome; the others are only counted."""
 NAMED = 1000
-"""Unknown objects whose names are remembered, to be told once."""
+"""Number of unknown object names remembered, so that each is reported once."""
 
 
 class CatalogueSession(StreamSession):
     """The stream of many objects; arguments as of `StreamSession`, the column of names, and a shard.
 
-    A state is saved behind each table, so that a restart takes the same tables: with them come the same bits.
+    The state is saved after each table, so that a restart forms the same tables and reproduces results
+    bitwise.
     """
 
     filter: Catalogue
@@ -56,11 +57,11 @@ class CatalogueSession(StreamSession):
         super().__init__(filtering, lines, rows, output, state, every, clock)
 
     def run(self) -> None:
-        """Assimilate all lines that come.
+        """Assimilate all lines of the stream.
 
         Raises:
-            UserError: a header that names what is not there.
-            TrainingError: no line counted.
+            UserError: a header with unknown names.
+            TrainingError: no line was accepted.
         """
         try:
             for parsed in self._tables():
@@ -80,7 +81,7 @@ class CatalogueSession(StreamSession):
         return ParquetParts(self.path) if known is None else ParquetParts(self.path, known.size, known.tail)
 
     def _tables(self) -> Iterator[ParsedLines]:
-        """Yield the readings of so many lines at once."""
+        """Yield the readings of batches of lines."""
         if isinstance(self.lines, ParquetRows):
             for numbers, columns in self.lines.batches(self.every):
                 parser = self._parser(self.lines.header)
@@ -101,14 +102,14 @@ class CatalogueSession(StreamSession):
             yield parser.of_lines([number for number, _ in there], [text for _, text in there])
 
     def _parser(self, first: str) -> TableParser:
-        """Return what reads lines, and begin with the first of them."""
+        """Build the line parser from the first line."""
         if self.layout is None:
             self._begin(first)
         assert self.layout is not None
         return TableParser(self.layout, self.filter.columns)
 
     def _take(self, parsed: ParsedLines) -> None:
-        """Filter the readings of a table, write what comes of them, and tell what did not count."""
+        """Filter the readings of a table, write the estimates, and report ignored lines."""
         found = self.filter.update(parsed.table)
         assert self.output is not None
         if found.counted.any():
@@ -131,7 +132,7 @@ class CatalogueSession(StreamSession):
         self._say_others(parsed, found)
 
     def _say_others(self, parsed: ParsedLines, found: CatalogueEstimates) -> None:
-        """Tell of readings that did not count for their times, and of unknown objects."""
+        """Report readings ignored because of their times, and unknown objects."""
         for fate, words in WORDS.items():
             chosen = np.flatnonzero(found.fates == FATES.index(fate)).tolist()
             _say(fate, {parsed.lines[k]: f"object {parsed.table.objects[k]} {words}" for k in chosen})
@@ -152,7 +153,7 @@ WORDS = {
 
 
 def _say(fate: str, lines: dict[int, str]) -> None:
-    """Tell of lines, the first of them one by one."""
+    """Report lines, the first ones individually."""
     for number in sorted(lines)[:SAID]:
         log.info("line %d: %s", number, lines[number])
     if len(lines) > SAID:

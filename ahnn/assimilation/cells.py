@@ -1,4 +1,4 @@
-"""Lines that are no measurements, and the numbers in those that are."""
+"""Parsing of numeric cells, and the error for invalid lines."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ MISSING = frozenset(("", "nan", "na", "null", "none"))
 
 
 class BadLine(ValueError):
-    """A line that is no measurement: what was expected, and what was received."""
+    """Invalid measurement line; the message states the expected and received content."""
 
 
 def is_missing(cell: Any) -> bool:
-    """Return whether a cell holds nothing."""
+    """Return whether a cell is empty."""
     return cell is None or (isinstance(cell, str) and cell.lower() in MISSING)
 
 
 def number(cell: Any, name: str) -> float:
-    """Return the number in a cell, NaN where it is missing.
+    """Parse the number in a cell, NaN where it is missing.
 
     Raises:
         BadLine: something else, or infinity.
@@ -27,7 +27,7 @@ def number(cell: Any, name: str) -> float:
         return math.nan
     try:
         if isinstance(cell, bool) or (isinstance(cell, str) and "_" in cell):
-            raise ValueError  # noqa: TRY301 - Python reads both as numbers
+            raise ValueError  # noqa: TRY301 - Python parses both as numbers
         value = float(cell)
     except (TypeError, ValueError, OverflowError):
         value = math.inf

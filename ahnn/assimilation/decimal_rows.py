@@ -1,4 +1,4 @@
-"""Rows of numbers as text, each the shortest that reads back as the same float64; NaN is an empty cell."""
+"""Formatting of number rows as text: shortest exact float64 representation, empty cells for NaN."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from ahnn.compiled_libraries import compiled_library
 from ahnn.cores import each, slices
 
 WIDEST = 32
-"""Bytes that a number takes at most, with what stands behind it."""
+"""Maximum number of bytes per number, including its separator."""
 
 PART = 10_000
-"""Rows that are written side by side with others, on the cores that there are."""
+"""Number of rows above which formatting runs in parallel on the available cores."""
 
 
 @cache
 def library() -> ctypes.CDLL | None:
-    """Return the library, or None where there is no C compiler."""
+    """Return the C library, or None without a C compiler."""
     source = Path(__file__).with_name("decimals.c")
     return compiled_library(source, {"ahnn_decimals": (N, N, P, P)}, "writing estimates")
 
 
 def decimal_rows(values: NDArray[np.float64]) -> list[str]:
-    """Return the rows of numbers (K, C) as texts, with commas between the numbers."""
+    """Format numbers (K, C) as K comma-separated rows."""
     found = library()
     if found is None:
         return [",".join(["" if x != x else repr(x) for x in row]) for row in values.tolist()]
@@ -41,7 +41,7 @@ def decimal_rows(values: NDArray[np.float64]) -> list[str]:
 
 
 def _spelled(found: ctypes.CDLL, numbers: NDArray[np.float64]) -> list[str]:
-    """Return the rows of numbers as the library writes them."""
+    """Format rows with the C library."""
     text = np.empty(WIDEST * numbers.size + 1, dtype=np.uint8)
     length = found.ahnn_decimals(*numbers.shape, numbers.ctypes.data, text.ctypes.data)
     return text[:length].tobytes().decode("ascii").split("\n")[:-1]

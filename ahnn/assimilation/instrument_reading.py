@@ -1,4 +1,4 @@
-"""What an instrument said at a time."""
+"""Reading of an instrument at one time."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from typing import NamedTuple
 
 
 class Reading(NamedTuple):
-    """What an instrument said.
+    """Reading of one sensor.
 
     Attributes:
-        time: in the unit of the space.
-        values: M numbers, NaN where one is missing.
-        sensor: its name; "" where there is one sensor.
-        deviations: M standard deviations; None takes those of the sensor.
-        controls: m numbers that hold from its time on, None for one that stays as it is; () changes none.
+        time: time in the unit of the space.
+        values: M measured values, NaN where missing.
+        sensor: sensor name; "" for a single sensor.
+        deviations: M standard deviations; None for those of the sensor.
+        controls: m values valid from this time on, None for an unchanged one; () for no change.
 
-    One without values is of no sensor: it changes controls, or asks for a prediction.
+    A reading without values belongs to no sensor: it changes controls, or requests a prediction.
     """
 
     time: float
@@ -34,7 +34,7 @@ class Reading(NamedTuple):
         deviations: list[float] | None,
         controls: list[float | None],
     ) -> Reading:
-        """Return the reading whose parts are lists."""
+        """Build the reading from lists."""
         own = None if deviations is None else tuple(deviations)
         return cls(time, tuple(values), sensor, own, tuple(controls))
 
@@ -45,5 +45,5 @@ class Reading(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Its time, and which sensor it is of."""
+        """Time and sensor, for messages."""
         return f"time {self.time:g}" + (f" of sensor {self.sensor}" if self.sensor else "")

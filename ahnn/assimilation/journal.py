@@ -1,4 +1,4 @@
-"""A pipe of which nothing is lost: what was read from it is kept, until a state holds it."""
+"""Write-ahead journal of a pipe: input is kept on disk until a saved state includes it."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from ahnn.memory import available
 
 
 class Journal(io.RawIOBase):
-    """Bytes of a pipe, which comes no second time, written to a file before they are used.
+    """Input stream of a pipe, which cannot be read twice, written to a file before use.
 
-    Each piece has a line with its length and its checksum in front; the first is the place of the others in
-    the stream.
+    Each piece is preceded by a line with its length and checksum; the first piece is the stream offset of the
+    others.
 
     Args:
-        pipe: what is read.
-        path: of the file.
+        pipe: pipe to read.
+        path: path of the journal file.
     """
 
     def __init__(self, pipe: BinaryIO, path: Path) -> None:
@@ -33,10 +33,10 @@ class Journal(io.RawIOBase):
         self._file: BinaryIO | None = None
 
     def begin(self) -> None:
-        """Begin with an empty journal.
+        """Start an empty journal.
 
         Raises:
-            UserError: one is there, of a state that is not.
+            UserError: a journal exists without its state.
         """
         if os.path.lexists(self.path):
             message = f"state: expected the state of the journal {self.path}; received none. Remove it"
@@ -44,7 +44,7 @@ class Journal(io.RawIOBase):
         self.saved(0)
 
     def resume(self, place: int) -> None:
-        """Go on behind a place in the stream: first with what the journal holds from there on.
+        """Resume at an offset of the stream, first with the journal's content from there on.
 
         Raises:
             UserError: the journal is missing or damaged.
@@ -54,7 +54,7 @@ class Journal(io.RawIOBase):
             self._base, content = int(head), b"".join(pieces)
             if not 0 <= place - self._base <= len(content):
                 message = f"that of {self._base} to {self._base + len(content)}, not of {place}"
-                raise ValueError(message)  # noqa: TRY301 - one message for all that is wrong
+                raise ValueError(message)  # noqa: TRY301 - one message for every kind of damage
         except (OSError, ValueError) as error:
             message = (
                 f"state: expected its journal {self.path}, intact; received {error}. Begin again with "
@@ -66,11 +66,11 @@ class Journal(io.RawIOBase):
         self._file = self.path.open("ab")
 
     def readable(self) -> bool:
-        """Return that it can be read."""
+        """Return True: the stream is readable."""
         return True
 
     def readinto(self, buffer: memoryview) -> int:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Read what the journal has ahead, or what the pipe has now."""
+        """Read pending bytes of the journal, or available bytes of the pipe."""
         if self._ahead:
             content, self._ahead = self._ahead[: len(buffer)], self._ahead[len(buffer) :]
         else:
@@ -83,7 +83,7 @@ class Journal(io.RawIOBase):
         return len(content)
 
     def saved(self, place: int) -> None:
-        """A state holds the stream up to a place: keep what was read beyond it."""
+        """Discard bytes before the offset included in a saved state; keep those read beyond it."""
         del self._kept[: place - self._base]
         self._base = place
         write_state(self.path, _piece(b"%d" % place) + _piece(self._kept))
@@ -91,7 +91,7 @@ class Journal(io.RawIOBase):
         self._file = self.path.open("ab")
 
     def close(self) -> None:
-        """Close the file; the pipe stays open."""
+        """Close the journal file; the pipe stays open."""
         self._close()
         super().close()
 
@@ -101,12 +101,12 @@ class Journal(io.RawIOBase):
 
 
 def _piece(content: bytes | bytearray) -> bytes:
-    """Return bytes behind their length and checksum."""
+    """Return bytes preceded by their length and checksum."""
     return b"%d %d\n%b" % (len(content), zlib.crc32(content), content)
 
 
 def _pieces(journal: bytes) -> Iterator[bytes]:
-    """Yield what `_piece` was given; raises ValueError where it is something else."""
+    """Yield the pieces written by `_piece`; raises ValueError for other content."""
     while journal:
         head, _, journal = journal.partition(b"\n")
         size, checksum = map(int, head.split(b" "))

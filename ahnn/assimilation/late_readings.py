@@ -1,4 +1,4 @@
-"""Readings that came last: one that comes late is put in its place, and the later ones are replayed."""
+"""Window of recent readings: late readings are inserted at their times, and later ones replayed."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ class KeptReading(NamedTuple):
 
 
 class ReadingWindow(NamedTuple):
-    """What may still be changed by a late reading.
+    """Readings that a late reading may still affect.
 
     Attributes:
-        anchor: the state before the first entry.
+        anchor: state before the first entry.
         since: time of the anchor.
-        held: controls that hold from the anchor on.
-        entries: in the order of their times.
+        held: controls valid from the anchor on.
+        entries: kept readings in order of time.
     """
 
     anchor: EstimatorState
@@ -44,7 +44,7 @@ class ReadingWindow(NamedTuple):
 
     @property
     def state(self) -> EstimatorState:
-        """The newest state."""
+        """Newest state."""
         return self.entries[-1].state if self.entries else self.anchor
 
     @property
@@ -54,20 +54,20 @@ class ReadingWindow(NamedTuple):
 
     @property
     def controls(self) -> Held:
-        """Controls that hold from the newest state on."""
+        """Controls valid from the newest state on."""
         return self.entries[-1].controls if self.entries else self.held
 
     def before(self, time: float) -> ReadingWindow:
-        """Return the window up to a time, readings of that time included."""
+        """Return the window up to and including a time."""
         return self._replace(entries=self.entries[: bisect_right(self.entries, time, key=TIME)])
 
     def holds(self, reading: Reading) -> bool:
-        """Return whether the same reading is in it."""
+        """Return whether the window contains an equal reading."""
         low, high = (side(self.entries, reading.time, key=TIME) for side in (bisect_left, bisect_right))
         return any(alike(one.reading, reading) for one in self.entries[low:high])
 
     def kept(self, span: float, most: int) -> ReadingWindow:
-        """Return the window without what is older than a span of time, or beyond so many readings."""
+        """Return the window limited to a time span and a number of readings."""
         first = max(0, len(self.entries) - most)
         while first < len(self.entries) and self.entries[first].time < self.time - span:
             first += 1
@@ -78,7 +78,7 @@ class ReadingWindow(NamedTuple):
 
 
 def alike(one: Reading, other: Reading) -> bool:
-    """Return whether two readings are of one sensor and the same numbers, NaN in the same places."""
+    """Return whether two readings have the same sensor and equal numbers, including NaN positions."""
     if (one.sensor, one.controls) != (other.sensor, other.controls):
         return False
     pairs = zip(one.values, other.values, strict=True)

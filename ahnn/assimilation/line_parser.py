@@ -1,4 +1,4 @@
-"""From a line of text to what an instrument said."""
+"""Parsing of text lines to instrument readings."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from ahnn.errors import UserError
 log = logging.getLogger("ahnn")
 
 TIME, SENSOR, SD = ("time", "t"), "sensor", "sd_"
-"""Names of columns: of the time, of the sensor, and what stands before the name of a standard deviation."""
+"""Column names of time and sensor, and the prefix of standard deviation columns."""
 RESERVED = frozenset(',"\n\r')
-"""What the name of an object does not have: it is a cell of tables."""
+"""Characters not allowed in an object name, which must be usable as a table cell."""
 
 
 class Layout:
-    """How the lines of a stream are read: JSON objects, or cells under the names of a header.
+    """Line format of a stream: JSON objects, or cells under a header.
 
     Args:
-        first: the first line.
-        sensors: by name.
-        clock: what times mean; None takes numbers alone.
+        first: first line of the stream.
+        sensors: sensors by name.
+        clock: interpretation of times; None for plain numbers.
         controls: names of the controls of the model.
-        objects: name of the column that says whose a line is; "" where all are of one object.
+        objects: name of the column of object names; "" for a single object.
 
     Raises:
-        UserError: a header without time, with a column that no sensor has or in a unit that does not fit it,
-            or with numbers whose standard deviations nobody says.
+        UserError: a header without time, with a column of no sensor or in an incompatible unit, or with
+            numbers of unknown standard deviation.
     """
 
     def __init__(
@@ -83,19 +83,19 @@ class Layout:
             self._require_deviations({*self.names})
 
     def reading(self, text: str) -> Reading:
-        """Return what a line says.
+        """Parse a line to a reading.
 
         Raises:
-            BadLine: it is no measurement.
+            BadLine: the line is not a valid measurement.
         """
         return self.reading_of(self.row(text))
 
     def row(self, text: str) -> dict[str, Any]:
-        """Return what stands in a line, by the names of the columns; raises BadLine."""
+        """Split a line into values by column name; raises BadLine."""
         return self._cells(text) if self.names else self._object(text)
 
     def object_of(self, row: dict[str, Any]) -> str:
-        """Return the name of the object that a row is of; raises BadLine."""
+        """Return the object name of a row; raises BadLine."""
         cell = row.get(self.objects)
         name = "" if is_missing(cell) or isinstance(cell, bool) else str(cell).strip()
         if not name or not isinstance(cell, str | int) or not {*name}.isdisjoint(RESERVED):
@@ -105,7 +105,7 @@ class Layout:
         return name
 
     def reading_of(self, row: dict[str, Any]) -> Reading:
-        """Return what a row says; raises BadLine."""
+        """Parse a row to a reading; raises BadLine."""
         name, time, controls = row.get(SENSOR) or self.only, self._time(row), self._controls(row)
         if name is None and all(is_missing(row[key]) for key in row.keys() & self.measured):
             return Reading(time, controls=controls)
@@ -119,11 +119,11 @@ class Layout:
 
     @property
     def asks(self) -> bool:
-        """Whether nothing is measured in lines, which ask for predictions; JSON objects may be such."""
+        """Whether lines may contain no measurement and request predictions, as JSON objects may."""
         return not {*(self.names or ())} & self.measured
 
     def _time(self, row: dict[str, Any]) -> float:
-        """Return the time of a row; raises BadLine."""
+        """Parse the time of a row; raises BadLine."""
         cells = [row[key] for key in TIME if key in row]
         cell = cells[0] if len(cells) == 1 else None
         time = number(cell, "time") if self.clock is None else self.clock.time(cell)
@@ -133,7 +133,7 @@ class Layout:
         return time
 
     def _controls(self, row: dict[str, Any]) -> tuple[float | None, ...]:
-        """Return the controls that a row changes, None for one that it does not; raises BadLine."""
+        """Parse the controls changed by a row, None for unchanged ones; raises BadLine."""
         given = [number(row.get(name), name) for name in self.controls]
         for name, value in zip(self.controls, given, strict=True):
             if abs(value) > LARGEST:
@@ -144,7 +144,7 @@ class Layout:
         return tuple([None if math.isnan(value) else value for value in given])
 
     def say_unused(self, name: str, row: dict[str, Any]) -> None:
-        """Warn, once for each sensor and column, of numbers that no reading of that sensor has."""
+        """Warn, once per sensor and column, of numbers that the sensor does not use."""
         for key in self.foreign[name]:
             if key in row and (name, key) not in self.said and not is_missing(row[key]):
                 self.said.add((name, key))
@@ -159,7 +159,7 @@ class Layout:
         return dict(zip(self.names, cells, strict=True))
 
     def _split(self, text: str) -> list[str]:
-        """Return the cells of a line; raises BadLine."""
+        """Split a line into cells; raises BadLine."""
         cells = text.split(self.delimiter)
         if '"' in text:
             try:
@@ -187,7 +187,7 @@ class Layout:
         return unique([(self._called(key), value) for key, value in pairs])
 
     def _called(self, name: str) -> str:
-        """Return our name of a column: the only control may have any that a control has."""
+        """Return the canonical name of a column; a single control may have any of the control names."""
         if name in self.known or (ours := control_named(name, self.controls)) == name:
             return name
         if ("", name) not in self.said:
@@ -198,7 +198,7 @@ class Layout:
     def _deviations(
         self, row: dict[str, Any], sensor: StreamSensor, values: tuple[float, ...]
     ) -> tuple[float, ...] | None:
-        """Return the standard deviations of a row; None where it brings none and the sensor's hold."""
+        """Parse the standard deviations of a row; None if the sensor's apply."""
         given = [self._number(row, SD + name) for name in sensor.columns]
         if sensor.deviations is not None and all(map(math.isnan, given)):
             return None
@@ -206,19 +206,19 @@ class Layout:
         chosen = [other if math.isnan(sd) else sd for sd, other in zip(given, own, strict=True)]
         for k, (name, value) in enumerate(zip(sensor.columns, values, strict=True)):
             if math.isnan(value) and math.isnan(chosen[k]):
-                chosen[k] = 1.0  # of what was not measured
+                chosen[k] = 1.0  # for missing values
             if not chosen[k] > 0.0:
                 message = f"{SD}{name}: expected a number > 0; received {row.get(SD + name)!r}"
                 raise BadLine(message)
         return tuple(chosen)
 
     def _number(self, row: dict[str, Any], name: str) -> float:
-        """Return what stands in a column, in the unit of the sensor; raises BadLine."""
+        """Return the value of a column in the sensor's unit; raises BadLine."""
         cell, scale = row.get(name), self.scales.get(name, 1.0)
         return number(number(cell, name) * scale, name)
 
     def _name(self, cell: str) -> str:
-        """Return the name in a cell of the header; raises UserError for one that is not known."""
+        """Return the column name in a header cell; raises UserError for unknown names."""
         found = HEADER.fullmatch(cell)
         name = self._called(found["name"] if found else cell)
         if name not in self.known:
@@ -235,7 +235,7 @@ class Layout:
         return name
 
     def _require_deviations(self, named: set[str]) -> None:
-        """Refuse a table whose numbers have no standard deviations; raises UserError."""
+        """Raise UserError for a table without standard deviations."""
         for name, sensor in self.sensors.items():
             lacking = [column for column in sensor.columns if column in named and SD + column not in named]
             if sensor.deviations is None and lacking:
@@ -246,7 +246,7 @@ class Layout:
                 raise UserError(message)
 
     def _scale(self, name: str, given: str) -> float:
-        """Return what numbers of a column are multiplied with; raises UserError for a unit that fits none."""
+        """Return the unit conversion factor of a column; raises UserError for an incompatible unit."""
         units = {}
         for sensor in self.sensors.values():
             units |= dict(zip(sensor.columns, sensor.measurement.units, strict=True))
@@ -265,12 +265,12 @@ class Layout:
 
 
 def _keys(sensor: StreamSensor) -> set[str]:
-    """Return the names of a sensor's numbers and of their standard deviations."""
+    """Return the column names of a sensor's values and of their standard deviations."""
     return {*sensor.columns, *(SD + name for name in sensor.columns)}
 
 
 def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return the object of some pairs; raises ValueError where a key comes twice."""
+    """Build a JSON object from pairs; raises ValueError for duplicate keys."""
     found = dict(pairs)
     if len(found) < len(pairs):
         message = "a key twice"

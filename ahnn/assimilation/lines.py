@@ -1,4 +1,4 @@
-"""Lines of a file or a pipe with their numbers, in constant memory, and those that were counted before."""
+"""Numbered lines of a file or pipe in constant memory, with resumption after processed lines."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from ahnn.assimilation.journal import Journal
 from ahnn.errors import UserError
 
 LONGEST = 1 << 20
-"""Bytes of a line; what is longer is no measurement, and not kept."""
+"""Maximum number of bytes of a line; longer lines are invalid and truncated."""
 CR = b"\r"
 
 
 class Lines:
-    """The lines of a stream.
+    """Lines of a stream.
 
-    A file is read again from its beginning after a restart, and must be the same up to where it was read.
-    What came through a pipe comes no second time: a journal keeps it.
+    After a restart a file is read from its beginning, and must be unchanged up to the position reached. A
+    pipe cannot be read twice, so its input is kept in a journal.
 
     Args:
-        stream: a file opened for bytes, a pipe whose state is not saved, or the journal of one.
+        stream: a binary file, a pipe whose state is not saved, or the journal of a pipe.
 
     Attributes:
-        number: of the last line, from 1.
-        place: number of bytes up to its end.
+        number: number of the last line, from 1.
+        place: byte offset of its end.
     """
 
     def __init__(self, stream: BinaryIO | Journal) -> None:
@@ -38,20 +38,20 @@ class Lines:
         self._end = b""
 
     def __iter__(self) -> Iterator[str]:
-        """Yield lines without their ends."""
+        """Yield lines without line terminators."""
         while raw := self._next():
             yield raw.decode("utf-8-sig", errors="replace").strip()
 
     def begin(self) -> None:
-        """Begin with the first line."""
+        """Start at the first line."""
         if self.journal is not None:
             self.journal.begin()
 
     def resume(self, number: int, place: int, digest: str) -> None:
-        """Go on behind a line.
+        """Resume after a line.
 
         Raises:
-            UserError: a file that has changed up to there.
+            UserError: the file has changed before that line.
         """
         if self.journal is not None:
             self.journal.resume(place)
@@ -68,23 +68,23 @@ class Lines:
 
     @property
     def digest(self) -> str:
-        """Hash of all lines that were read."""
+        """Hash of all lines read."""
         return self._hash.hexdigest()
 
     def saved(self, place: int) -> None:
-        """A state holds the stream up to a place."""
+        """Record that a saved state includes the stream up to an offset."""
         if self.journal is not None:
             self.journal.saved(place)
 
     def close(self, *, discard: bool = False) -> None:
-        """Close the stream; standard input stays open, and a journal, unless nothing began, in its place."""
+        """Close the stream, except standard input; a journal stays on disk if processing has begun."""
         if discard and self.journal is not None:
             self.journal.path.unlink(missing_ok=True)
         if self.file is not sys.stdin.buffer:
             self.file.close()
 
     def _next(self) -> bytes:
-        """Return the next line with its end; of one that is too long the beginning."""
+        """Return the next line with its terminator, truncated if too long."""
         self._end = self._end or end_of_lines(self.file)
         raw = part = self._part()
         while part:
@@ -97,7 +97,7 @@ class Lines:
         return raw
 
     def _part(self) -> bytes:
-        """Return bytes up to the end of a line, at most `LONGEST`."""
+        """Read bytes up to the end of a line, at most `LONGEST`."""
         if self._end == b"\n":
             return self.file.readline(LONGEST)
         found = b""
@@ -107,11 +107,11 @@ class Lines:
 
 
 def end_of_lines(file: BinaryIO) -> bytes:
-    """Return what ends the lines of a stream: CR where only that stands among what it has at hand."""
+    """Return the line terminator of a stream: CR if buffered bytes contain only CR."""
     ahead = ahead_of(file)
     return CR if CR in ahead[:-1] and b"\n" not in ahead else b"\n"
 
 
 def ahead_of(file: BinaryIO) -> bytes:
-    """Return bytes that are read next, without reading on; none where that is not possible."""
+    """Peek at the next bytes without consuming them; empty if not possible."""
     return file.peek() if isinstance(file, io.BufferedReader) else b""

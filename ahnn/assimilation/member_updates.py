@@ -1,4 +1,4 @@
-"""One reading of each of many objects, filtered side by side, each at its own time."""
+"""Batched filtering of one reading per object, each at its own time."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from ahnn.estimation import Factor, FilterState
 from ahnn.estimation.member_steps import empty_rows, measured_at, member_rows, put_rows
 
 TOGETHER = 1024
-"""Objects that are worth a core."""
+"""Number of objects that justifies one more core."""
 FAULT = -1
-"""Status of a reading that is no measurement; others are those of filters."""
+"""Status of a reading that is not a valid measurement; others are those of filters."""
 
 
 class MeasuredRows(NamedTuple):
-    """One reading of each of B objects: times (B,), numbers of sensors (B,), values and deviations (B, W)."""
+    """One reading per object: times (B,), sensor indices (B,), values and deviations (B, W)."""
 
     times: Array
     sensors: Places
@@ -29,23 +29,23 @@ class MeasuredRows(NamedTuple):
     deviations: Array
 
     def at(self, chosen: Places) -> MeasuredRows:
-        """Return some of them."""
+        """Return selected readings."""
         times, sensors, values, deviations = self
         return MeasuredRows(times[chosen], sensors[chosen], values[chosen], deviations[chosen])
 
 
 class Told(NamedTuple):
-    """What readings made of B objects.
+    """Results of readings for B objects.
 
     Attributes:
-        state: after the readings; nothing sound where they failed.
-        statuses: (B,) int64, 0 of who is sound, `FAULT` where a reading is no measurement.
+        state: states after the readings; invalid for failed members.
+        statuses: (B,) int64, 0 for valid members, `FAULT` for an invalid measurement.
         reopened: (B,) bool, the belief was widened until the gate took the reading.
-        rejected: (B,) bool, the gate refused the reading.
-        residuals: (B, W) measurement less prediction, NaN where nothing was measured.
+        rejected: (B,) bool, whether the gate rejected the reading.
+        residuals: (B, W) measurement minus prediction, NaN where missing.
         deviations: (B, W) standard deviations of the residuals.
         nis: (B,) normalised innovation squared.
-        measured: (B,) numbers that are there.
+        measured: (B,) number of measured values.
     """
 
     state: FilterState
@@ -59,7 +59,7 @@ class Told(NamedTuple):
 
     @classmethod
     def room(cls, like: FilterState, count: int, width: int) -> Told:
-        """Return memory for what B readings of nothing tell."""
+        """Allocate results of B readings without measurements."""
         wide = torch.full((2, count, width), torch.nan, dtype=torch.float64)
         whole = torch.zeros(2, count, dtype=torch.int64)
         gate = torch.zeros(2, count, dtype=torch.bool)
@@ -68,7 +68,7 @@ class Told(NamedTuple):
 
 
 class MemberUpdates:
-    """Predictions and updates of many members by the sensors of a stream.
+    """Batched predictions and updates of members with the sensors of a stream.
 
     Args:
         models: process and sensors.
@@ -118,7 +118,7 @@ class MemberUpdates:
         given: tuple[Tensor, Tensor, Tensor, Tensor],
         told: Told,
     ) -> None:
-        """Write what a sensor tells of a block of members."""
+        """Update a block of members with one sensor and store the results."""
         name, own = self.names[sensor], self.places[sensor]
         times, y, deviations = given[0], given[1][:, own], given[2][:, own]
         model = measured_at(self.models.seen[name], times)
@@ -142,7 +142,7 @@ class MemberUpdates:
         told.nis[block], told.measured[block] = innovation.nis, innovation.measured
 
     def _noise(self, name: str, deviations: Tensor) -> Factor:
-        """Return the factor of R of readings, whose own standard deviations (B, M) come first."""
+        """Return the factor of R of readings; their own standard deviations (B, M) take precedence."""
         sensor, missing = self.models.sensors[name], deviations.isnan()
         if sensor.deviations is not None:
             if bool(missing.all()):

@@ -1,4 +1,4 @@
-"""Which objects of a catalogue one of several workers follows: those whose names hash to its number."""
+"""Assignment of catalogue objects to workers by a hash of their names."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class ObjectShard(NamedTuple):
         return mine, Belief(belief.mean[own], belief.chol[own]), times[own]
 
     def lines(self, parsed: ParsedLines) -> ParsedLines:
-        """Return the readings of its objects; lines that are none are told by one worker each."""
+        """Return the readings of its objects; each invalid line is reported by one worker."""
         if self.workers == 1:
             return parsed
         objects, times, sensors, values, deviations = parsed.table

@@ -1,4 +1,4 @@
-"""Objects that are followed: what each keeps of its newest readings, and in which row its beliefs are."""
+"""Tracked objects: windows of recent readings and row allocation of beliefs."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ TIME = attrgetter("time")
 
 
 class KeptRow(NamedTuple):
-    """A reading of one object, and the row of the belief after it.
+    """Reading of one object with the row of its posterior belief.
 
     Attributes:
-        time: of the reading.
-        slot: number of the row.
-        sensor: its number.
-        values: W numbers; None of the belief before all others.
-        deviations: W numbers.
+        time: time of the reading.
+        slot: index of the belief's row.
+        sensor: sensor index.
+        values: W values; None for the initial belief.
+        deviations: W standard deviations.
     """
 
     time: float
@@ -36,7 +36,7 @@ class KeptRow(NamedTuple):
     deviations: list[float] | None = None
 
     def alike(self, sensor: int, values: list[float]) -> bool:
-        """Return whether it is the same reading, NaN in the same places."""
+        """Return whether readings are equal, including NaN positions."""
         if self.values is None or self.sensor != sensor:
             return False
         pairs = zip(self.values, values, strict=True)
@@ -44,28 +44,28 @@ class KeptRow(NamedTuple):
 
 
 class ObjectWindow(list[KeptRow]):
-    """Readings of one object in the order of their times, behind the belief from before them.
+    """Readings of one object in order of time, preceded by their prior belief.
 
-    Where nothing is ever replayed these are readings of the newest time alone, and share one row.
+    Without replay it contains only readings of the newest time, which share one row.
     """
 
     def place(self, time: float) -> int:
-        """Return where a reading of a time goes: behind those of the same time."""
+        """Return the insertion index of a reading, after those of the same time."""
         return bisect_right(self, time, key=TIME)
 
     def holds(self, time: float, sensor: int, values: list[float]) -> bool:
-        """Return whether the same reading is in it."""
+        """Return whether the window contains an equal reading."""
         return any(one.time == time and one.alike(sensor, values) for one in self)
 
     def renew(self, entry: KeptRow, most: int) -> None:
-        """Add the newest reading where nothing is replayed: others of its time are kept, so many at most."""
+        """Add the newest reading without replay; keep a limited number of readings of the same time."""
         if self[-1].time < entry.time:
             self.clear()
         self.append(entry)
         del self[: max(0, len(self) - most)]
 
     def forget(self, span: float, most: int) -> list[int]:
-        """Drop what is older than a span of time or beyond so many readings; return the rows of these."""
+        """Drop readings beyond a time span or a number; return their rows."""
         first, oldest = max(0, len(self) - 1 - most), self[-1].time - span
         while first < len(self) - 1 and self[first + 1].time < oldest:
             first += 1
@@ -77,19 +77,19 @@ class ObjectWindow(list[KeptRow]):
 
 
 class FollowedObjects:
-    """Beliefs about objects in the rows of one state.
+    """Beliefs about objects, stored in rows of one state.
 
     Args:
-        like: a state of the filter.
+        like: a state of the filter as template.
 
     Attributes:
-        state: of all rows, some of which are free.
-        names: of the N objects, with their numbers.
-        windows: of each.
-        times: (N,) of the newest belief of each.
-        since: (N,) before which nothing of an object is replayed.
-        newest: (N,) rows of the newest beliefs.
-        lost: (N,) statuses of filters that have ended, 0 of others.
+        state: state of all rows, including free ones.
+        names: names of the N objects with their indices.
+        windows: reading window of each object.
+        times: (N,) times of the newest beliefs.
+        since: (N,) times before which nothing is replayed.
+        newest: (N,) row indices of the newest beliefs.
+        lost: (N,) statuses of failed filters, 0 for others.
     """
 
     def __init__(self, like: FilterState) -> None:
@@ -101,7 +101,7 @@ class FollowedObjects:
         self.newest, self.lost = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
 
     def enrol(self, names: Sequence[str], state: FilterState, times: Array) -> None:
-        """Add objects that begin with a state each, or all with that of one, at times (N,)."""
+        """Add objects with individual initial states, or a common one, at times (N,)."""
         slots, first = self.take(len(names)), len(self.names)
         put_rows(self.state, torch.from_numpy(slots), state)
         self.names |= {name: first + k for k, name in enumerate(names)}
@@ -112,7 +112,7 @@ class FollowedObjects:
         self.lost = np.append(self.lost, np.zeros_like(slots))
 
     def take(self, count: int) -> Places:
-        """Return the numbers of so many free rows."""
+        """Allocate free rows and return their indices."""
         kept = max(0, len(self._free) - count)
         again, self._free = self._free[kept:], self._free[:kept]
         begin, self._used = self._used, self._used + count - len(again)
@@ -123,7 +123,7 @@ class FollowedObjects:
         return np.array([*again, *range(begin, self._used)], dtype=np.int64)
 
     def release(self, slots: Sequence[int]) -> None:
-        """Give rows back."""
+        """Release rows."""
         self._free += slots
 
     def write(self, slots: Places, state: FilterState) -> None:
@@ -131,13 +131,13 @@ class FollowedObjects:
         put_rows(self.state, torch.from_numpy(slots), state)
 
     def beliefs(self, numbers: Places, size: int) -> Belief:
-        """Return the newest beliefs about the first components of some objects."""
+        """Return the newest beliefs of objects, restricted to the leading components."""
         return member_rows(self.state, torch.from_numpy(self.newest[numbers])).leading(size).moments
 
     def restore(
         self, names: list[str], state: FilterState, windows: list[ObjectWindow], since: Array, lost: Places
     ) -> None:
-        """Take over what another has kept, all its rows in use."""
+        """Take over the content of another container without free rows."""
         self.state, self._used, self._free = state, len(state.status), []
         self.names = {name: k for k, name in enumerate(names)}
         self.windows, self.since, self.lost = windows, since, lost

@@ -1,4 +1,4 @@
-"""The filter online, as a class of three methods: update, save, load."""
+"""Online filter of one object, with methods update, save and load."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from ahnn.estimation.gaussian import GaussianFilter
 from ahnn.estimation.process_model import Process, StepLaw
 
 Outcome = Literal["taken", "reopened", "rejected", "predicted", "repeated", "late", "ahead"]
-"""What became of a reading: it counted, it counted in a wider belief, the gate refused it, it was empty, it
+"""Outcome of a reading: accepted, accepted by a wider belief, rejected by the gate, empty; or it
 was there already, it came too late, or it lies too far ahead. The last three leave the estimate as it was."""
 
 
 class Estimate(NamedTuple):
-    """What is believed after a reading.
+    """Estimate after a reading.
 
     Attributes:
         outcome: of the reading.
@@ -55,11 +55,11 @@ class Estimate(NamedTuple):
 
 
 class Diverged(RuntimeError):
-    """The filter has lost what it follows; the message says by what."""
+    """The filter has diverged; the message states the cause."""
 
 
 class Assimilation:
-    """A filter that takes readings as they come, and can be saved and gone on with at any of them.
+    """Filter that processes readings as they arrive, and can be saved and resumed after any reading.
 
     Args:
         process: the estimator and its process model.
@@ -111,18 +111,17 @@ class Assimilation:
             self.window = ReadingWindow(state, float(time), self.controls.unknown)
             mean, covariance = start.mean[0].tolist(), start.covariance[0].tolist()
             self.begun = {"start": mean, "start_sd": covariance, "time": float(time)}
-            # no line waits for what that prepares
+            # so that the first line does not wait for this preparation
             self.process.advanced(state, time, time + process.max_step, self.controls.trial)
 
     @torch.inference_mode()
     def update(self, reading: Reading) -> Estimate:
-        """Return the estimate after a reading, which is merged in its place if it comes late.
+        """Process a reading, merging a late one at its time, and return the estimate after it.
 
         Raises:
-            UserError: a sensor that there is none of, another number of values than it has, or controls that
-                are missing or none.
-            BadLine: numbers that leave no finite, precise estimate; the state from before it is kept.
-            Diverged: the filter has lost what it follows; the state from before the reading is kept.
+            UserError: an unknown sensor, a wrong number of values, or missing or invalid controls.
+            BadLine: values that give no finite, precise estimate; the previous state is kept.
+            Diverged: the filter has diverged; the state before the reading is kept.
         """
         reading = self._named(reading)
         now = self.window.time
@@ -150,7 +149,7 @@ class Assimilation:
 
     @property
     def biases(self) -> dict[str, list[tuple[float, float]]]:
-        """By sensor the estimated bias of each column and its standard deviation, 0 where it has none."""
+        """Estimated biases of each sensor's columns with standard deviations, 0 for columns without bias."""
         if self.errors is None:
             return {}
         mean, chol = self.window.state.moments
@@ -163,11 +162,11 @@ class Assimilation:
         return {name: [(0.0, 0.0) if k is None else pairs[k] for k in own] for name, own in places}
 
     def save(self, path: str | Path, notes: Mapping[str, str] | None = None) -> None:
-        """Write all that is needed to go on; the file appears whole or not at all.
+        """Save the complete state atomically, for resuming.
 
         Args:
-            path: of the file.
-            notes: texts that are kept beside the state.
+            path: path of the file.
+            notes: additional texts saved with the state.
         """
         window = self.window
         readings = json.dumps([entry.reading for entry in window.entries])
@@ -177,10 +176,10 @@ class Assimilation:
 
     @torch.inference_mode()
     def load(self, path: str | Path) -> dict[str, str]:
-        """Go on where `save` was called, and return the notes that were kept there.
+        """Restore the state written by `save`, and return its notes.
 
         Raises:
-            UserError: no such file, a damaged one, or one of another process, sensors or window.
+            UserError: a missing or damaged file, or one of another process, sensors or window.
         """
         try:
             state, notes = load_state(path, like=self.window.anchor), load_notes(path)
@@ -204,7 +203,7 @@ class Assimilation:
         return self.models.identity((self.span, self.lines, self.gap, self.process.max_step, *lag))
 
     def _others(self, path: str | Path, notes: Mapping[str, str], time: float) -> str:
-        """Return what a state that holds at a time was made with and is not ours; "" where all is."""
+        """Return the settings of a saved state that differ from ours, for messages; "" if none."""
         if notes["of"] != self.identity:
             return (
                 f"state: expected one of this model, process noise, gate, sensors and window; received "
@@ -218,7 +217,7 @@ class Assimilation:
         return ""
 
     def _named(self, reading: Reading) -> Reading:
-        """Return the reading under the name of its sensor; one without values needs none."""
+        """Return the reading with its sensor name filled in, if it has values."""
         self.controls.require_fitting(reading)
         if not math.isfinite(reading.time):
             message = f"reading: expected a time that is finite; received {reading}"
@@ -240,7 +239,7 @@ class Assimilation:
         return reading
 
     def _added(self, window: ReadingWindow, reading: Reading) -> ReadingWindow:
-        """Return the window with a reading at its end."""
+        """Return the window with a reading appended."""
         held = window.controls
         controls = self.controls.between(held, window.time, reading.time)
         laws: list[StepLaw] = []
@@ -256,7 +255,7 @@ class Assimilation:
         return window._replace(entries=(*window.entries, entry))
 
     def _updated(self, before: EstimatorState, reading: Reading) -> tuple[EstimatorState, Innovation, bool]:
-        """Return the state given a reading, what that told, and whether the gate reopened; raises BadLine."""
+        """Condition the state on a reading; return state, innovation, reopened; raises BadLine."""
         own, model = reading.deviations, self.models.seen[reading.sensor]
         factor = self._factors[reading.sensor] if own is None else self.sensors[reading.sensor].factor(own)
         y = torch.tensor([reading.values], dtype=torch.float64)
@@ -283,13 +282,13 @@ class Assimilation:
 
 
 def absurd_numbers(said: list[str], deviations: Sequence[float]) -> str:
-    """Return what is wrong with numbers that no filter takes, which are spelled already."""
+    """Return the message for values too extreme for a filter, given as text."""
     received = ", ".join([*said, *(f"sd {sd:g}" for sd in deviations)])
     return f"expected numbers that leave a finite, precise estimate; received {received}"
 
 
 def lost_filter(status: int, time: float, sensor: str) -> str:
-    """Return what has become of a filter at a time, by a sensor where one has a part in it."""
+    """Return the message for a diverged filter, with time and, if relevant, sensor."""
     by = f", by sensor {sensor}" if sensor else ""
     return (
         f"expected a filter that follows its measurements; it is {Status(status).name} at time {time:g}{by}"

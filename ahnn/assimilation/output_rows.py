@@ -1,4 +1,4 @@
-"""Estimates as lines of text: CSV under a header, or JSON objects; and the file that can be cut back."""
+"""Output of estimates as CSV or JSON lines, to a file that can be truncated on resumption."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from ahnn.errors import UserError
 
 Format = Literal["csv", "json", "parquet"]
 TAIL = 1 << 14
-"""Bytes at the end of an output that a state knows by their hash."""
+"""Number of bytes at the end of an output whose hash is stored in the state."""
 
 
 class Rows:
-    """Estimates as rows under the same names.
+    """Formatter of estimates as rows.
 
     Args:
         components: names of those of the state.
@@ -75,7 +75,7 @@ class Rows:
             self.names += [f"lag_{DEVIATION}{name}" for name in components]
 
     def header(self) -> str:
-        """Return the first line of a table; JSON objects have none."""
+        """Return the first line of a table; empty for JSON."""
         return ",".join(self.names) + "\n" if self.kind == "csv" else ""
 
     def row(self, line: int, sensor: str, estimate: Estimate) -> str:
@@ -100,11 +100,11 @@ class Rows:
         return json.dumps(dict(zip(self.names, plain, strict=True))) + "\n"
 
     def wrote(self, text: str, line: int, *, begin: bool) -> bool:
-        """Return whether a text is rows of lines behind a number, the last of which a kill may have cut.
+        """Return whether a text consists of rows of lines after a number, the last possibly truncated.
 
         Args:
-            text: of an output.
-            line: that number.
+            text: text of an output.
+            line: line number.
             begin: whether the text is the whole output.
         """
         if begin and (head := self.header()):
@@ -122,7 +122,7 @@ class Rows:
         return torn and all(a < b for a, b in pairwise(numbers))
 
     def _number(self, row: str) -> int:
-        """Return the number of the line that a row is of, -1 where it is no row of these."""
+        """Return the line number of a row, -1 for an invalid row."""
         try:
             if self.kind == "json":
                 found = json.loads(row)
@@ -134,7 +134,7 @@ class Rows:
 
 
 def digest(content: bytes) -> str:
-    """Return the hash of the end of an output."""
+    """Hash the end of an output."""
     return hashlib.blake2b(content, digest_size=16).hexdigest()
 
 
@@ -143,18 +143,18 @@ def _cell(value: Any) -> str:
 
 
 class Output:
-    """Where rows go: standard output, or a file that belongs to one process and can be cut back.
+    """Destination of rows: standard output, or a locked file that can be truncated.
 
     Args:
-        path: of the file; `-` is standard output.
-        rows: of what it is written.
-        line: number of the last line that a state holds; None begins a new file.
-        size: bytes of the file that the state knows of; rows of later lines behind them are cut off.
+        path: path of the file; `-` for standard output.
+        rows: formatter of the rows.
+        line: number of the last line included in a state; None for a new file.
+        size: file size recorded in the state; rows of later lines are truncated.
         tail: hash of the last of those bytes.
 
     Raises:
-        UserError: a file that exists where a new one begins, that another process writes, or that is not as
-            the state knows it.
+        UserError: a file that already exists for a new output, is written by another process, or does not
+            match the state.
     """
 
     def __init__(self, path: str, rows: Rows, line: int | None = None, size: int = 0, tail: str = "") -> None:
@@ -179,7 +179,7 @@ class Output:
         return digest(self._tail)
 
     def _cut_back(self, rows: Rows, line: int, tail: str) -> str:
-        """Cut off what lies behind `size`; return what is there where that, or the end, is not ours."""
+        """Truncate after `size`; return a description if that text or the end of the file is not ours."""
         length = self.file.seek(0, os.SEEK_END)
         if length < self.size:
             return f"{length} bytes"
@@ -192,7 +192,7 @@ class Output:
         return ""
 
     def write(self, text: str) -> None:
-        """Write a line, and hand it to the system at once."""
+        """Write a line and flush it."""
         content = text.encode()
         self.file.write(content)
         self.file.flush()
@@ -205,18 +205,18 @@ class Output:
             self.file.close()
 
     def remove(self, path: str) -> None:
-        """Remove what was written."""
+        """Remove the output."""
         if path != "-":
             Path(path).unlink(missing_ok=True)
 
     def sync(self) -> None:
-        """Wait until the rows are on the disk."""
-        with contextlib.suppress(OSError):  # a pipe has none
+        """Flush the rows to disk."""
+        with contextlib.suppress(OSError):  # pipes do not support fsync
             os.fsync(self.file.fileno())
 
 
 def require_new(path: str) -> None:
-    """Refuse to begin where something is already; raises UserError."""
+    """Raise UserError if the path of a new output exists."""
     if path != "-" and os.path.lexists(path):
         message = (
             f"output: expected a new file; received {path}, which is there. Name another one or remove it"
@@ -225,7 +225,7 @@ def require_new(path: str) -> None:
 
 
 def _opened(path: Path, *, new: bool) -> BinaryIO:
-    """Return a file that no other process writes; raises UserError, also where one is expected and is not."""
+    """Open and lock a file; raises UserError if another process writes it or an expected file is missing."""
     if not (new or path.exists()):
         message = f"output: expected {path} as it was left; received none. Begin again with another state"
         raise UserError(message)

@@ -1,4 +1,4 @@
-"""Parquet in and out: rows of a file in constant memory, and a folder of parts that can be cut back."""
+"""Parquet input in constant memory, and output as a folder of parts that can be truncated."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ NAMED = re.compile(r"part-(\d{6})\.parquet")
 
 
 class ParquetRows:
-    """The rows of a file, as `Lines` has those of a text.
+    """Rows of a Parquet file, analogous to `Lines` for text.
 
     Args:
-        path: of the file.
+        path: path of the file.
 
     Attributes:
-        number: of the last row, from 1.
-        place: 0.
-        digest: hash of the file, which does not grow.
-        header: names of its columns with their units, as a table has them.
+        number: number of the last row, from 1.
+        place: always 0.
+        digest: hash of the file, which must not change.
+        header: column names with units, as in a table.
 
     Raises:
-        UserError: no Parquet, or pyarrow is not installed.
+        UserError: not a Parquet file, or pyarrow is not installed.
     """
 
     def __init__(self, path: str) -> None:
@@ -56,7 +56,7 @@ class ParquetRows:
         self.header = ",".join(names)
 
     def batches(self, count: int) -> Iterator[tuple[list[int], list[Any]]]:
-        """Yield the numbers of rows, at most so many at once, and their columns."""
+        """Yield row numbers and columns of batches of limited size."""
         for batch in self.file.iter_batches(batch_size=count):
             left, self._skipped = max(0, self._skipped - batch.num_rows), min(self._skipped, batch.num_rows)
             own, self._skipped = batch.slice(self._skipped), left
@@ -70,10 +70,10 @@ class ParquetRows:
             yield list(range(first, self.number + 1)), columns
 
     def begin(self) -> None:
-        """Begin with the first row."""
+        """Start at the first row."""
 
     def resume(self, number: int, place: int, digest: str) -> None:
-        """Go on behind a row; raises UserError where the file is another."""
+        """Resume after a row; raises UserError if the file has changed."""
         del place
         if digest != self.digest:
             message = (
@@ -84,7 +84,7 @@ class ParquetRows:
         self.number = self._skipped = number
 
     def saved(self, place: int) -> None:
-        """A state holds the rows so far, which come again from the file."""
+        """Do nothing: rows can be read again from the file."""
 
     def close(self, *, discard: bool = False) -> None:
         """Close the file."""
@@ -93,15 +93,15 @@ class ParquetRows:
 
 
 class ParquetParts:
-    """A folder of Parquet files, one for each write, which readers of Parquet take as one table.
+    """Folder of Parquet files, one per write, which Parquet readers open as one table.
 
     Args:
-        path: of the folder.
-        parts: number of parts that a state knows of, later ones are removed; None begins a new folder.
-        tail: hash of the last of them.
+        path: path of the folder.
+        parts: number of parts recorded in a state, after which parts are removed; None for a new folder.
+        tail: hash of the last part.
 
     Raises:
-        UserError: a folder that exists where a new one begins, or one that is not as the state knows it.
+        UserError: an existing folder for a new output, or a folder that does not match the state.
     """
 
     def __init__(self, path: str, parts: int | None = None, tail: str = "") -> None:
@@ -124,19 +124,19 @@ class ParquetParts:
             remove_own(found[number])
 
     def write(self, content: bytes) -> None:
-        """Write a part, which appears whole or not at all."""
+        """Write a part atomically."""
         self.size += 1
         self.digest = digest_of(content)
         write_atomically(self.folder / PART.format(self.size), content)
 
     def sync(self) -> None:
-        """Parts are on the disk when they appear."""
+        """Do nothing: parts are flushed when written."""
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: no file is open."""
 
     def remove(self, path: str) -> None:
-        """Remove what was written."""
+        """Remove the output."""
         del path
         for file in self._files():
             remove_own(file)

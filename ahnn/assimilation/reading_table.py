@@ -12,28 +12,27 @@ from torch import Tensor
 from ahnn.assimilation.online import Outcome
 
 Fate = Outcome | Literal["bad", "lost", "unknown"]
-"""What became of a reading: as of one object, or it left no finite estimate, its object is lost, or there is
-no such object."""
+"""Outcomes of a reading: those for one object, or no finite estimate, lost object, or unknown object."""
 FATES: tuple[Fate, ...] = (
     *("taken", "reopened", "rejected", "predicted", "repeated", "late", "ahead"),
     *("bad", "lost", "unknown"),
 )
-"""In the order of the numbers that stand for them."""
+"""Outcomes in the order of their codes."""
 COUNTED = 4
-"""Of so many at the front a row goes out."""
+"""Number of leading outcomes for which an output row is written."""
 
 Array = NDArray[np.float64]
 Places = NDArray[np.int64]
 
 
 class ReadingTable(NamedTuple):
-    """K readings.
+    """Table of Table of K readings.
 
     Attributes:
-        objects: names of what was measured.
-        times: (K,) in the unit of the space.
-        sensors: (K,) their numbers, -1 of a reading that asks for a prediction.
-        values: (K, W) in the columns of all sensors, NaN where a number is missing.
+        objects: names of the measured objects.
+        times: (K,) times in the unit of the space.
+        sensors: (K,) sensor indices, -1 for a request for a prediction.
+        values: (K, W) values in the columns of all sensors, NaN where missing.
         deviations: (K, W) standard deviations, NaN for those of the sensor.
     """
 
@@ -45,19 +44,19 @@ class ReadingTable(NamedTuple):
 
 
 class CatalogueEstimates(NamedTuple):
-    """What is believed after each of K readings of its object.
+    """Estimates of the object after each of K readings.
 
     Attributes:
-        fates: (K,) places in `FATES`.
-        times: (K,) at which the estimates hold; NaN of unknown objects, as all that follows.
-        means: (K, D).
-        covariances: (K, D, D).
-        residuals: (K, W) measurement less prediction, NaN where nothing is told, as in the next three.
+        fates: (K,) indices in `FATES`.
+        times: (K,) times of the estimates; NaN for unknown objects, as all following fields.
+        means: (K, D) state estimates.
+        covariances: (K, D, D) covariances.
+        residuals: (K, W) measurement minus prediction, NaN where missing, as in the next three fields.
         deviations: (K, W) standard deviations of the residuals.
         nis: (K,) normalised innovation squared.
-        measured: (K,) numbers that are there.
-        replayed: (K,) readings that came before it and are later than it.
-        reasons: by the number of the reading why an object was lost by it, or is no measurement.
+        measured: (K,) number of measured values.
+        replayed: (K,) number of later readings that were replayed.
+        reasons: by reading index, the reason for a lost object or an invalid measurement.
     """
 
     fates: NDArray[np.int8]
@@ -73,7 +72,7 @@ class CatalogueEstimates(NamedTuple):
 
     @classmethod
     def unknown(cls, count: int, size: int, width: int) -> CatalogueEstimates:
-        """Return those of so many readings of which nothing is known yet."""
+        """Allocate estimates of readings not yet processed."""
         nothing = torch.full((count,), torch.nan, dtype=torch.float64)
         wide = nothing[:, None].expand(count, width)
         return cls(
@@ -91,20 +90,20 @@ class CatalogueEstimates(NamedTuple):
 
     @property
     def outcomes(self) -> list[Fate]:
-        """Words for what became of the readings."""
+        """Outcomes of the readings in words."""
         return [FATES[k] for k in self.fates.tolist()]
 
     @property
     def counted(self) -> NDArray[np.bool_]:
-        """(K,) which of them changed an estimate, or asked for a prediction."""
+        """(K,) mask of readings that changed an estimate or requested a prediction."""
         return self.fates < COUNTED
 
 
 def rounds(numbers: Places) -> list[Places]:
-    """Return readings in rounds, of which each has an object once and in which its readings keep their order.
+    """Split readings into rounds with each object at most once, preserving the order per object.
 
     Args:
-        numbers: (K,) of the objects; readings of -1 are left out.
+        numbers: (K,) object indices; readings with -1 are omitted.
     """
     order = np.argsort(numbers, kind="stable")
     order = order[np.searchsorted(numbers[order], 0) :]

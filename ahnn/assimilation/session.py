@@ -1,4 +1,4 @@
-"""A stream of one object, assimilated line by line."""
+"""Assimilation of a stream of one object, line by line."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ahnn.errors import TrainingError
 log = logging.getLogger("ahnn")
 
 Watcher = Callable[[int, Reading, Estimate, Counter[str]], None]
-"""Told of every line that was a measurement: its number, what it said, the estimate, the counts so far."""
+"""Callback for every measurement line: line number, reading, estimate, and counts so far."""
 
 WORDS = {
     "late": "comes later than the window allows, at time {now:g}: not counted",
@@ -26,17 +26,17 @@ WORDS = {
 
 
 class Session(StreamSession):
-    """The stream of one object; arguments as of `StreamSession`, with an `Assimilation` in front."""
+    """Session for one object; arguments as in `StreamSession`, preceded by an `Assimilation`."""
 
     filter: Assimilation
     lines: Lines
 
     def run(self, watch: Watcher | None = None) -> None:
-        """Assimilate all lines that come.
+        """Assimilate all lines of the stream.
 
         Raises:
-            UserError: a header that names what is not there.
-            TrainingError: the filter has diverged; the message names the line. Or no line counted.
+            UserError: a header with unknown names.
+            TrainingError: the filter has diverged, with the line in the message, or no line was accepted.
         """
         try:
             self._run(watch)
@@ -58,7 +58,7 @@ class Session(StreamSession):
             self._begin(text)
         assert self.layout is not None
         assert self.output is not None
-        if self.layout.names and text == self.header:  # it comes again where tables are joined
+        if self.layout.names and text == self.header:  # repeated header where tables are concatenated
             return
         try:
             reading = self.layout.reading(text)

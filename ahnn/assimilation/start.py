@@ -1,4 +1,4 @@
-"""Where an assimilation begins: a belief about one state, and when it holds."""
+"""Start of an assimilation: initial beliefs and their time."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from ahnn.types import Space
 log = logging.getLogger("ahnn")
 
 Carry = Callable[[Tensor, Tensor, Tensor], Tensor]
-"""From states (1, D), times (2,) and covariances (1, D, D) at the first of them to those at the second."""
+"""Propagates covariances (1, D, D) of states (1, D) from the first of times (2,) to the second."""
 
 
 class Begin(NamedTuple):
-    """A clock, and when on it a start holds.
+    """Clock of a stream and time of the start.
 
     Attributes:
-        clock: of the stream.
-        time: of the start.
-        reference: of the estimates.
+        clock: clock of the stream.
+        time: time of the start.
+        reference: reference frame and epoch of the estimates.
     """
 
     clock: StreamClock
@@ -41,17 +41,17 @@ class Begin(NamedTuple):
 def belief_of(
     found: Starts, deviations: list[float] | None, space: Space, carry: Carry, *, many: bool = False
 ) -> Belief:
-    """Return the belief about the one state of some starts, or those about all of many objects.
+    """Return the belief of a single start, or those of many objects.
 
     Args:
-        found: the starts.
-        deviations: standard deviations where the start has no covariance.
-        space: what the numbers of a state mean.
-        carry: takes the covariance of an earlier state to the time of the start.
+        found: starts found in the input.
+        deviations: standard deviations for a start without covariance.
+        space: description of the state components.
+        carry: propagates the covariance of an earlier state to the time of the start.
         many: whether there are many objects.
 
     Raises:
-        UserError: several states of one object, or no covariance.
+        UserError: several states of one object, or a missing covariance.
     """
     if len(found.states) != 1 and not many:
         names = ", ".join(found.names[:5]) + (", .." if len(found.names) > 5 else "")
@@ -79,16 +79,16 @@ def belief_of(
 
 
 def begin(found: Starts, ours: Reference, time: float | None, unit: str) -> Begin:
-    """Return the clock of a stream and when its start holds.
+    """Determine the clock of a stream and the time of its start.
 
     Args:
-        found: the start of one state.
-        ours: reference of the model, with the epoch of time zero where that is known.
-        time: at which the start holds, as a user says; None without.
-        unit: of time.
+        found: start of one state.
+        ours: reference of the model, with the epoch of time zero if known.
+        time: time of the start from the user, or None.
+        unit: unit of time.
 
     Raises:
-        UserError: two times of one start.
+        UserError: contradictory times of one start.
     """
     own, held = found.reference, float(found.times[0])
     whole = ours.filled(own)
@@ -101,7 +101,7 @@ def begin(found: Starts, ours: Reference, time: float | None, unit: str) -> Begi
             raise UserError(message)
         return Begin(clock._replace(zero=whole.epoch), held if time is None else time, whole)
     moment = own.on(clock.system)
-    if ours.epoch is None:  # zero is where the user has the start, or the start itself
+    if ours.epoch is None:  # time zero is the user's time of the start, or the start itself
         zero = clock.after(moment.epoch, held - (time or 0.0))
         clock = clock._replace(zero=zero, dated=time is None)
         return Begin(clock, time or 0.0, whole._replace(epoch=zero))

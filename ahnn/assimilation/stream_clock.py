@@ -1,4 +1,4 @@
-"""Times of a stream: numbers from time zero, or epochs of the calendar."""
+"""Times of a stream: numbers since time zero, or calendar epochs."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from ahnn.errors import UserError
 
 
 class StreamClock(NamedTuple):
-    """What times mean.
+    """Interpretation of times.
 
     Attributes:
-        unit: of numbers.
-        zero: epoch of time zero (`ahnn.data.files.epochs`); None where times are numbers alone.
-        system: time system of epochs, such as UTC.
-        scale: of the unit in which a stream has numbers, in that unit.
-        dated: whether epochs alone are times, since nobody said where numbers count from.
-        cells: time system of the epochs in a stream; "" is that of the zero.
+        unit: unit of numeric times.
+        zero: epoch of time zero (`ahnn.data.files.epochs`); None for plain numbers.
+        system: time scale of epochs, such as UTC.
+        scale: unit of the stream's numeric times, in `unit`.
+        dated: whether only epochs are accepted, because the origin of numeric times is unknown.
+        cells: time scale of the epochs in a stream; "" for that of time zero.
     """
 
     unit: str
@@ -33,11 +33,11 @@ class StreamClock(NamedTuple):
     cells: str = ""
 
     def time(self, cell: Any) -> float:
-        """Return the time in a cell, NaN where it is missing.
+        """Parse the time in a cell, NaN where it is missing.
 
         Raises:
-            BadLine: it is no time.
-            UserError: an epoch, and none of time zero; or a number, and nobody said from when.
+            BadLine: not a time.
+            UserError: an epoch without an epoch of time zero, or a number without a known origin.
         """
         if not (isinstance(cell, str) and (DATE.match(cell) or "T" in cell)):
             time = self.scale * number(cell, "time")
@@ -64,16 +64,16 @@ class StreamClock(NamedTuple):
         return self.between(self.zero, moment)
 
     def between(self, one: int | None, other: int | None) -> float:
-        """Return the time from an epoch to another."""
+        """Return the time between two epochs."""
         return ((other or 0) - (one or 0)) / SECOND / self.second
 
     def after(self, moment: int | None, time: float) -> int:
-        """Return the epoch so much time after another."""
+        """Return the epoch at a given time after another."""
         return (moment or 0) + round(time * self.second * SECOND)
 
     @property
     def second(self) -> float:
-        """Seconds of the unit; a number without one is taken as seconds."""
+        """Seconds of the unit; 1 without a known unit."""
         clock = unit(self.unit)
         return clock.size if clock.dimension == TIME else 1.0
 
@@ -81,11 +81,11 @@ class StreamClock(NamedTuple):
         """Return the Earth's rotation angle at time zero in rad (IERS Conventions 2010, 5.15), UT1 as UTC."""
         moment = Reference(clock=self.system, epoch=self.zero).on("UTC").epoch or 0
         seconds = moment / SECOND - leaps(moment // SECOND // DAY)
-        days = seconds / DAY - 0.5  # from J2000.0
+        days = seconds / DAY - 0.5  # since J2000.0
         return math.tau * ((0.7790572732640 + 0.00273781191135448 * days + days % 1.0) % 1.0)
 
     def named(self, text: str) -> StreamClock:
-        """Return the clock of a header that names a unit of time or a time system; raises UserError."""
+        """Apply the time unit or time scale of a header to the clock; raises UserError."""
         if text == self.system or {text, self.system} <= TO_TT.keys():
             return self._replace(cells=text)
         try:

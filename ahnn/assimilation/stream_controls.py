@@ -1,4 +1,4 @@
-"""Controls of a stream: those that its readings bring, each held until the next, or a table of them."""
+"""Controls of a stream: supplied by readings, each held until the next, or tabulated in advance."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from ahnn.rollouts import clock_of
 from ahnn.types import Flow
 
 Held = tuple[float | None, ...]
-"""The m controls that hold at a time; None for one that no reading has brought yet."""
+"""The m controls valid at a time; None for one not yet supplied by a reading."""
 
 
 NONE = "none, since no force of the model depends on any"
 
 
 class StreamControls(NamedTuple):
-    """Where a filter has its controls from.
+    """Source of a filter's controls.
 
     Attributes:
-        size: m, 0 for a process model without controls.
-        known: all of them, known ahead; None where readings bring them.
+        size: number m of controls, 0 for a process model without controls.
+        known: table known in advance; None if readings supply the controls.
     """
 
     size: int
@@ -33,10 +33,10 @@ class StreamControls(NamedTuple):
 
     @classmethod
     def of(cls, flow: Flow, known: ControlTable | None, time: float) -> StreamControls:
-        """Return the controls of a process model that begins at a time.
+        """Build the controls of a process model from its start time.
 
         Raises:
-            UserError: a table of other controls than the model has, or one that begins later.
+            UserError: a table that does not match the model's controls, or begins after the start.
         """
         size = max(0, clock_of(flow) - 1)
         if known is not None:
@@ -49,16 +49,16 @@ class StreamControls(NamedTuple):
 
     @property
     def unknown(self) -> Held:
-        """What holds before any reading."""
+        """Controls before any reading."""
         return (None,) * self.size
 
     @property
     def trial(self) -> ControlTable | None:
-        """Controls for a step whose result does not count."""
+        """Placeholder controls for a trial step whose result is discarded."""
         return self.known or (self._held((0.0,) * self.size, 0.0) if self.size else None)
 
     def require_fitting(self, reading: Reading) -> None:
-        """Refuse a reading with controls that the filter does not take; raises UserError."""
+        """Raise UserError for a reading with controls that the filter does not accept."""
         given = reading.controls
         if not given:
             return
@@ -76,16 +76,16 @@ class StreamControls(NamedTuple):
             raise UserError(message)
 
     def after(self, held: Held, reading: Reading) -> Held:
-        """Return what holds from a reading on, where something else held before it."""
+        """Return the controls valid from a reading on, given those before it."""
         if not reading.controls:
             return held
         return tuple(u if new is None else new for u, new in zip(held, reading.controls, strict=True))
 
     def between(self, held: Held, since: float, time: float) -> ControlTable | None:
-        """Return the controls from one time to another, at the first of which some hold.
+        """Return the controls between two times, given those valid at the first.
 
         Raises:
-            UserError: one that nobody has said.
+            UserError: an unknown control.
         """
         if self.known is not None or not self.size or not time > since:
             return self.known
@@ -100,7 +100,7 @@ class StreamControls(NamedTuple):
         return self._held(held, since)
 
     def hash_before(self, time: float) -> str:
-        """Return the hash of what a table says before a time; "" without one."""
+        """Return a hash of the table before a time; "" without a table."""
         return "" if self.known is None else self.known.hash_before(time)
 
     @staticmethod

@@ -1,4 +1,4 @@
-"""Pictures of an assimilation: innovations in their bands, consistency, and the size of the beliefs."""
+"""Figures of an assimilation: innovations with bands, consistency, and standard deviations."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from ahnn.labels import headed
 from ahnn.types import Space
 
 AVERAGED = 50
-"""Readings that a mean NIS is of."""
+"""Number of readings in a moving mean of the NIS."""
 NAMES = ("innovations", "consistency", "deviations")
 
 
 def figures_of(record: AssimilationRecord, space: Space) -> dict[str, Figure]:
-    """Return the figures of a record under their names."""
+    """Draw the figures of a record and return them by name."""
     drawn = (draw(record, space) for draw in (innovations, consistency, deviations))
     return dict(zip(NAMES, drawn, strict=True))
 
 
 def innovations(record: AssimilationRecord, space: Space) -> Figure:
-    """Draw each measured number less its prediction, in the band of three standard deviations."""
+    """Plot measurement minus prediction with a band of three standard deviations."""
     time, unit = _time(record, space)
     figure = style.canvas(8, 1.2 + 1.9 * len(record.measured))
     panels = figure.subplots(len(record.measured), 1, sharex=True, squeeze=False)[:, 0]
@@ -36,7 +36,7 @@ def innovations(record: AssimilationRecord, space: Space) -> Figure:
         taken = ~refused[there]
         limit = 2.0 * float(np.median(wide)) if len(t) else 1.0
         limit = max(limit, float(np.abs(value[taken]).max(initial=0.0)))
-        far = np.clip(value[~taken], -limit, limit)  # an outlier does not flatten the others
+        far = np.clip(value[~taken], -limit, limit)  # so that an outlier does not flatten the other curves
         axes.plot(t[taken], value[taken], ".", color=style.VERMILLION, ms=3, ls="none", label="innovation")
         axes.plot(t[~taken], far, "x", color=style.BLACK, ms=5, ls="none", label="rejected")
         axes.set_ylim(-1.1 * limit, 1.1 * limit)
@@ -49,7 +49,7 @@ def innovations(record: AssimilationRecord, space: Space) -> Figure:
 
 
 def consistency(record: AssimilationRecord, space: Space) -> Figure:
-    """Draw the moving mean of the NIS of what was taken, per measured number, with its 95 % band."""
+    """Plot the moving mean NIS of accepted readings per measured number, with its 95 % band."""
     time, unit = _time(record, space)
     figure = style.canvas(8, 4)
     axes = figure.subplots()
@@ -72,7 +72,7 @@ def consistency(record: AssimilationRecord, space: Space) -> Figure:
 
 
 def deviations(record: AssimilationRecord, space: Space) -> Figure:
-    """Draw the standard deviations of positions and momenta, root sum of squares of the components."""
+    """Plot standard deviations of positions and momenta, root sum of squares over components."""
     time, unit = _time(record, space)
     figure = style.canvas(8, 5)
     panels = figure.subplots(2, 1, sharex=True)
@@ -88,6 +88,6 @@ def deviations(record: AssimilationRecord, space: Space) -> Figure:
 
 
 def _time(record: AssimilationRecord, space: Space) -> tuple[Array, str]:
-    """Return the times of a record, in hours where they are many seconds."""
+    """Return the times of a record, in hours for long time spans in seconds."""
     hours = space.units.time == "s" and record.time[-1] - record.time[0] > 7200
     return (record.time / 3600, "h") if hours else (record.time, space.units.time)

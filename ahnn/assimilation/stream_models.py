@@ -1,4 +1,4 @@
-"""What filters a stream: the process, and models of its sensors, of all that is estimated."""
+"""Models of a stream: process and sensors acting on the augmented state."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from ahnn.estimation.state import MemberState
 from ahnn.measurements import Measurement
 
 HOPELESS = 1e16
-"""NIS of a number, 1e8 standard deviations: what is added to the state has no digit of it left."""
+"""NIS of a number at 1e8 standard deviations: adding such an innovation to the state loses all its digits."""
 FURTHEST = 10_000
-"""Steps of the flow that a reading may lie ahead, where nothing else is asked for."""
+"""Default limit on how far a reading may lie ahead, in steps of the flow."""
 LOST = (Status.NOT_FINITE, Status.COLLAPSED, Status.IMPRECISE)
-"""What a single reading of absurd size, or of absurd precision, makes of a filter."""
+"""Failures of a filter caused by a single reading of absurd size or precision."""
 
 
 class StreamModels:
-    """A process and the sensors of a stream, their biases among what is estimated.
+    """Process and sensors of a stream, with sensor biases as estimated states.
 
     Args:
-        process: the estimator and its process model.
-        sensors: by name.
+        process: estimator with its process model.
+        sensors: sensors by name.
     """
 
     def __init__(self, process: Process, sensors: Mapping[str, StreamSensor]) -> None:
@@ -43,7 +43,7 @@ class StreamModels:
         self.seen = {name: self._seen(name, sensor) for name, sensor in self.sensors.items()}
 
     def identity(self, numbers: Sequence[float]) -> str:
-        """Return what determines estimates besides start and readings, in 32 hexadecimal digits."""
+        """Return a hash of all that determines estimates except start and readings, 32 hexadecimal digits."""
         sensors = {
             name: [plain(one.measurement), one.deviations, *(one.biases or ())]
             for name, one in self.sensors.items()
@@ -59,14 +59,14 @@ class StreamModels:
         y: Tensor,
         model: Measurement,
     ) -> Tensor:
-        """Return which of B readings are no measurements, (B,) bool: their filters take what they expect.
+        """Return which of B readings are invalid, (B,) bool: their filters work with expected measurements.
 
         Args:
-            sensor: that they are of.
-            states: before the readings and after them.
-            innovation: what they told.
-            y: (B, M) their numbers.
-            model: of the sensor, at the times of the readings.
+            sensor: sensor of the readings.
+            states: states before and after the readings.
+            innovation: innovations of the readings.
+            y: (B, M) measured values.
+            model: measurement model of the sensor at the times of the readings.
         """
         before, after = states
         absurd = (innovation.nis > HOPELESS * y.shape[1]) & ~innovation.rejected
@@ -90,16 +90,16 @@ class StreamModels:
     def reopened(
         self, before: EstimatorState, y: Tensor, model: Measurement, noise: Covariance, spread: Tensor
     ) -> tuple[EstimatorState, Innovation, Tensor]:
-        """Return what readings make of beliefs that are widened for them; see `ahnn.estimation.reopening`."""
+        """Process readings with beliefs widened for them; see `ahnn.estimation.reopening`."""
         filtering = cast("MemberFilter[Any]", self.process.estimator)
         return reopened(filtering, cast(MemberState, before), y, model, noise, spread)
 
     def _seen(self, name: str, sensor: StreamSensor) -> Measurement:
-        """Return the model of a sensor, of all that is estimated."""
+        """Return the measurement model of a sensor for the augmented state."""
         model = self.process.seen(sensor.measurement)
         return model if self.errors is None else self.errors.measurement(model, name)
 
 
 def _lost(state: EstimatorState) -> Tensor:
-    """Return which members are lost in one of the ways of `LOST`."""
+    """Return which members failed in one of the ways of `LOST`."""
     return torch.stack([state.status == status for status in LOST]).any(0)

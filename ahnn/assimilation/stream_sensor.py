@@ -1,4 +1,4 @@
-"""The instruments of a stream."""
+"""Sensors of a stream."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from ahnn.types import Space
 
 
 class StreamSensor(NamedTuple):
-    """An instrument of a stream.
+    """Sensor of a stream.
 
     Attributes:
-        measurement: its model.
-        deviations: standard deviations of its M numbers; None where each reading brings its own.
-        columns: names of its M numbers in a stream.
-        biases: that are estimated with the state; None for none.
+        measurement: measurement model.
+        deviations: standard deviations of its M values; None if each reading supplies its own.
+        columns: column names of its M values in a stream.
+        biases: biases estimated with the state, or None.
     """
 
     measurement: Measurement
@@ -37,17 +37,17 @@ class StreamSensor(NamedTuple):
         bias_sd: float | list[float] | None = None,
         bias_memory: float | list[float] | None = None,
     ) -> StreamSensor:
-        """Return the sensor of a model; one that reads the state has the names of the space as columns.
+        """Build the sensor of a model; a sensor of state components uses their names as columns.
 
         Args:
-            measurement: the model.
-            deviations: as `noise_deviations` takes them, or None.
-            space: what the numbers of a state mean.
-            bias_sd: standard deviations of biases, which are estimated, as `Biases.of` takes them.
-            bias_memory: their time constants.
+            measurement: measurement model.
+            deviations: argument of `noise_deviations`, or None.
+            space: description of the state components.
+            bias_sd: standard deviations of estimated biases, argument of `Biases.of`.
+            bias_memory: time constants of the biases.
 
         Raises:
-            UserError: what `noise_deviations` and `Biases.of` refuse.
+            UserError: errors of `noise_deviations` and `Biases.of`.
         """
         reads = isinstance(measurement, Position | State)
         columns = space.components[: len(measurement.names)] if reads else measurement.names
@@ -58,12 +58,12 @@ class StreamSensor(NamedTuple):
         return cls(measurement, tuple(own), columns, biases)
 
     def factor(self, deviations: tuple[float, ...] | None) -> Factor:
-        """Return the factor of R of a reading, whose own standard deviations come first."""
+        """Return the factor of R of a reading; its own standard deviations take precedence."""
         return Factor(torch.diag(torch.tensor(deviations or self.deviations, dtype=torch.float64)))
 
 
 def plain(thing: Any) -> Any:
-    """Return what determines an object, as plain values: its class and its `about`, or all that it holds."""
+    """Return the defining properties of an object as plain values: its class and `about`, or attributes."""
     if thing is None or isinstance(thing, bool | int | float | str):
         return thing
     if isinstance(thing, list | tuple):

@@ -1,8 +1,8 @@
-"""A stream that is assimilated so that a kill at any moment loses nothing and counts nothing twice.
+"""Crash-safe assimilation of a stream: a kill at any moment neither loses nor repeats a line.
 
-The state is saved every so many lines, with the number of lines that it holds and the length of the output at
-that moment. Whoever goes on cuts the output back to that length and takes the lines behind that number again:
-the same numbers come out, bit for bit.
+The state is saved at regular intervals, with the number of lines processed and the length of the output. On
+resumption the output is truncated to that length and later lines are processed again, with bitwise equal
+results.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from ahnn.manifest import remove_own
 log = logging.getLogger("ahnn")
 
 FEW = 30
-"""Measured numbers that say nothing yet of a filter's consistency."""
+"""Number of measured values below which consistency is not judged."""
 MANY = 0.05
 """Fraction of refused measurements that outliers alone seldom are."""
 REMEDIES = {
@@ -44,25 +44,25 @@ REMEDIES = {
     "unknown": "Their objects have no start: name the table of them, start=FILE, or one for all, start=[..]",
     "predicted": "Their numbers are missing: fill the columns of the sensor, or set measurement=",
 }
-"""What to do where most lines became so, and none was taken."""
+"""Remedies by the most frequent outcome, if no line was accepted."""
 
 CLOCK = "epoch, time_system"
-"""Keys that say what times mean."""
+"""Configuration keys that define the meaning of times."""
 Natural = Annotated[int, Within(0)]
 
 
 class Notes(NamedTuple):
-    """What a saved state knows of the stream and of the output.
+    """Information on stream and output in a saved state.
 
     Attributes:
-        lines, place, digest: lines that it holds, their bytes, and their hash.
-        header: the first of them.
-        size, tail: bytes of the output, and the hash of the last of them.
-        kind: of the output's rows.
-        counts: outcomes of the lines.
-        nis, numbers: sum of the NIS of those that counted, and how many numbers they had.
-        clock: what times mean.
-        begun: the start of the filter.
+        lines, place, digest: number of processed lines, their bytes, and their hash.
+        header: first line.
+        size, tail: size of the output, and hash of its last bytes.
+        kind: format of the output.
+        counts: number of lines by outcome.
+        nis, numbers: sum of the NIS of accepted lines, and their number of values.
+        clock: interpretation of times.
+        begun: start of the filter.
     """
 
     lines: Natural
@@ -80,36 +80,36 @@ class Notes(NamedTuple):
 
 
 class StreamFilter(Protocol):
-    """What filters a stream: one object, or many."""
+    """Filter of a stream, for one object or many."""
 
     sensors: dict[str, StreamSensor]
     process: Process
     begun: dict[str, Any]
 
     def save(self, path: str | Path, notes: Mapping[str, str] | None = None) -> None:
-        """Write all that is needed to go on."""
+        """Save the complete state for resuming."""
         ...
 
     def load(self, path: str | Path) -> dict[str, str]:
-        """Go on where `save` was called, and return the notes that were kept there."""
+        """Restore the state written by `save`, and return its notes."""
         ...
 
 
 class StreamSession:
-    """A stream, what filters it, and where estimates go; a subclass takes its lines.
+    """Session of stream, filter and output; subclasses process the lines.
 
     Args:
-        filtering: the filter, or those of many objects.
-        lines: the stream.
-        rows: how estimates are written.
-        output: path of the file they are written to, `-` for standard output.
-        state: path of the state; None saves none.
-        every: lines between two saved states.
-        clock: what times mean; None takes numbers alone.
+        filtering: filter of one object, or filters of many.
+        lines: lines of the stream.
+        rows: formatter of estimates.
+        output: path of the output file, `-` for standard output.
+        state: path of the state; None for no saving.
+        every: number of lines between saved states.
+        clock: interpretation of times; None for plain numbers.
         controls: names of the controls of the model.
 
     Raises:
-        UserError: an output that is there without its state, or a state that does not fit.
+        UserError: an existing output without its state, or an incompatible state.
     """
 
     def __init__(
@@ -144,7 +144,7 @@ class StreamSession:
             lines.begin()
 
     def verdict(self) -> str:
-        """Return whether innovations are as large as the filter believes; empty where few are known."""
+        """Return a verdict on the consistency of innovations; empty if there are few."""
         if self.numbers < FEW:
             return ""
         mean, (low, high) = self.nis / self.numbers, band(1, self.numbers)
@@ -154,7 +154,7 @@ class StreamSession:
         return text + (": it trusts them too little" if mean < low else "") + self._of_the_gate()
 
     def _of_the_gate(self) -> str:
-        """Return what a mean of what was taken does not show: how much was refused; "" where it is little."""
+        """Return a remark on the fraction of rejected measurements; "" if it is small."""
         refused, opened = self.counts["rejected"], self.counts["reopened"]
         fraction = refused / (refused + opened + self.counts["taken"])
         if not opened and fraction < MANY:
@@ -163,9 +163,9 @@ class StreamSession:
         return f"; the gate refused {100 * fraction:.2g} % of the measurements{times}"
 
     def close(self) -> None:
-        """Give back the files; what was not saved is taken again by who goes on.
+        """Close the files; unsaved lines are processed again on resumption.
 
-        Of a stream that began here and came to no estimate nothing is left.
+        Files of a new stream without any estimate are removed.
         """
         nothing = not (self.resumed or self.written)
         self.lines.close(discard=nothing)
@@ -179,7 +179,7 @@ class StreamSession:
                 remove_own(sidecar.beside(self.beside))
 
     def _end(self) -> None:
-        """Save what came of a stream that has ended; raises where nothing did."""
+        """Save the final state at the end of a stream; raises if no line was accepted."""
         if self.layout is None:
             message = "measurements: expected a header or JSON objects; received no line"
             raise UserError(message)
@@ -187,10 +187,10 @@ class StreamSession:
         self._require_taken()
 
     def _require_taken(self) -> None:
-        """Refuse a stream of which nothing counted, unless it asks for predictions alone.
+        """Check that some line was accepted, unless the stream only requests predictions.
 
         Raises:
-            TrainingError: says what became of most lines, and what to do.
+            TrainingError: none was; the message states the most frequent outcome and a remedy.
         """
         assert self.layout is not None
         asks = self.counts["predicted"] and self.layout.asks
@@ -202,17 +202,17 @@ class StreamSession:
         raise TrainingError(message)
 
     def _output(self, known: Notes | None) -> Any:
-        """Return where rows go, as a state knows it; None begins."""
+        """Open the output, as recorded in a state, or a new one for None."""
         if known is None:
             return Output(self.path, self.rows)
         return Output(self.path, self.rows, known.lines, known.size, known.tail)
 
     def _layout(self, first: str) -> Layout:
-        """Return how lines are read, of which one is the first."""
+        """Determine the line format from the first line."""
         return Layout(first, self.filter.sensors, self.clock, self.controls)
 
     def _begin(self, text: str) -> None:
-        """Take the first line, and begin the output once it is known to be good."""
+        """Read the first line, and start the output once it is validated."""
         self.layout = self._layout(text)
         if self.output is None:
             self._save()
@@ -237,11 +237,11 @@ class StreamSession:
         self.lines.saved(self.place)
 
     def _count(self) -> None:
-        """All lines so far are counted, which the next state will say."""
+        """Update the notes of the next saved state with all lines so far."""
         self.counted, self.place, self.digest = self.lines.number, self.lines.place, self.lines.digest
 
     def _resume(self, notes: dict[str, str]) -> Notes:
-        """Take the lines that are not in the state again, and return what it knows."""
+        """Resume after the lines included in the state, and return its notes."""
         try:
             content = json.loads(notes["stream"])
             check_arguments("", Notes, content)

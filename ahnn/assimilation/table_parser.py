@@ -1,7 +1,7 @@
-"""Lines or columns of many objects as tables of readings: column by column, and row by row where that fails.
+"""Parsing of lines or columns of many objects to reading tables, column-wise with a row-wise fallback.
 
-What a row says is decided by `Layout`. Rows that are plain numbers, nearly all of them, need not be asked one
-by one: their columns are converted at once, and whatever is unusual goes to `Layout`.
+`Layout` defines the meaning of a row. Rows of plain numbers, nearly all, are converted column by column, and
+unusual rows are passed to `Layout`.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from ahnn.assimilation.reading_table import Array, Places, ReadingTable
 from ahnn.data.files.table import is_number
 
 Column = Sequence[Any] | Array
-"""The K cells of a column: texts, or numbers."""
+"""The K cells of a column, as texts or numbers."""
 Mask = NDArray[np.bool_]
 
 
 class ParsedLines(NamedTuple):
-    """Readings with the numbers of their lines, and what is wrong with other lines, by their numbers."""
+    """Readings with their line numbers, and errors of other lines by line number."""
 
     lines: list[int]
     table: ReadingTable
@@ -33,10 +33,10 @@ class ParsedLines(NamedTuple):
 
 
 class TableParser:
-    """Readings in the columns of all sensors.
+    """Parser of readings into the columns of all sensors.
 
     Args:
-        layout: of the stream.
+        layout: line format of the stream.
         columns: names of the W numbers of all sensors.
     """
 
@@ -48,7 +48,7 @@ class TableParser:
         self.own = np.array([[sds.get(name, math.nan) for name in columns] for sds in own])
 
     def of_lines(self, lines: list[int], texts: list[str]) -> ParsedLines:
-        """Return what lines of text say, which are neither empty nor remarks."""
+        """Parse lines of text, without empty lines and comments."""
         names = self.layout.names
         if names is None:
             return self._joined(lines, None, self._singly(lines, texts))
@@ -66,13 +66,13 @@ class TableParser:
         return self._of_columns(lines, dict(zip(names, columns, strict=True)), singly)
 
     def of_columns(self, lines: list[int], columns: dict[str, Column]) -> ParsedLines:
-        """Return what columns of texts or numbers say, by their names."""
+        """Parse named columns of texts or numbers."""
         return self._of_columns(lines, columns, ([], {}))
 
     def _of_columns(
         self, lines: list[int], columns: dict[str, Column], singly: tuple[list[Any], dict[int, str]]
     ) -> ParsedLines:
-        """Return what columns say, and rows that were read one by one."""
+        """Parse columns, and unusual rows individually."""
         plain, table = self._at_once(columns, len(lines))
         if not plain.all():
             others = np.flatnonzero(~plain).tolist()
@@ -86,7 +86,7 @@ class TableParser:
         return self._joined(lines, table, singly)
 
     def _at_once(self, columns: dict[str, Column], count: int) -> tuple[Mask, ReadingTable]:
-        """Return the readings of columns, and which rows are as plain as that, (K,) bool."""
+        """Convert columns to readings, and return the mask of plain rows, (K,) bool."""
         layout, plain = self.layout, np.ones(count, dtype=bool)
         times = self._times(next(columns[key] for key in TIME if key in columns), plain)
         objects = [str(cell).strip() for cell in columns[layout.objects]]
@@ -106,7 +106,7 @@ class TableParser:
         return plain, ReadingTable(objects, times, sensors, values, deviations)
 
     def _times(self, column: Column, plain: Mask) -> Array:
-        """Return the times of rows; those without one are not plain. Raises UserError as a clock does."""
+        """Convert the times of rows; rows without a time are not plain. Raises the clock's UserError."""
         clock = self.layout.clock
         if clock is None or (_is_numeric(column) and not clock.dated):
             times = self._numbers(column, plain, 1.0 if clock is None else clock.scale)
@@ -122,7 +122,7 @@ class TableParser:
         return times
 
     def _complete(self, sensors: Places, values: Array, deviations: Array, plain: Mask) -> None:
-        """Complete standard deviations in place, as `Layout` does; rows where none is known are not plain."""
+        """Fill in standard deviations, as `Layout` does; rows with unknown ones are not plain."""
         own, seen = self.own[sensors], self.seen[sensors]
         bare = np.isnan(deviations).all(1) & ~np.any(np.isnan(own) & seen, axis=1)
         filled = np.where(np.isnan(deviations), own, deviations)
@@ -131,7 +131,7 @@ class TableParser:
         deviations[:] = np.where(seen & ~bare[:, None], filled, math.nan)
 
     def _sensors(self, columns: dict[str, Column], count: int) -> Places:
-        """Return the numbers of sensors, -1 where none is named of several."""
+        """Return sensor indices, -1 where the name is missing among several sensors."""
         if SENSOR not in columns:
             return np.full(count, 0 if len(self.sensors) == 1 else -1)
         known = {name: k for k, name in enumerate(self.sensors)}
@@ -140,7 +140,7 @@ class TableParser:
         return np.array([(known | only).get(cell, -1) for cell in cells], dtype=np.int64)
 
     def _numbers(self, column: Column, plain: Mask, scale: float) -> Array:
-        """Return the numbers of a column, NaN where one is missing; rows with others are not plain."""
+        """Convert a column to numbers, NaN where missing; rows with other content are not plain."""
         if isinstance(column, np.ndarray):
             found = column.astype(np.float64)
         else:
@@ -156,7 +156,7 @@ class TableParser:
         return found
 
     def _singly(self, lines: list[int], texts: list[str]) -> tuple[list[Any], dict[int, str]]:
-        """Return what lines say, one by one, and what is wrong with others."""
+        """Parse lines individually, with errors of invalid ones."""
         rows, bad = [], dict[int, str]()
         for line, text in zip(lines, texts, strict=True):
             try:
@@ -167,7 +167,7 @@ class TableParser:
         return found, bad | others
 
     def _rows(self, lines: list[int], rows: list[dict[str, Any]]) -> tuple[list[Any], dict[int, str]]:
-        """Return what rows say, one by one, and what is wrong with others."""
+        """Parse rows individually, with errors of invalid ones."""
         found, bad = list[tuple[int, str, Reading]](), dict[int, str]()
         for line, row in zip(lines, rows, strict=True):
             try:
@@ -179,7 +179,7 @@ class TableParser:
     def _joined(
         self, lines: list[int], table: ReadingTable | None, singly: tuple[list[Any], dict[int, str]]
     ) -> ParsedLines:
-        """Return readings in the order of their lines."""
+        """Merge readings in the order of their lines."""
         found, bad = singly
         if not found and table is not None:
             return ParsedLines(lines, table, bad)
@@ -200,7 +200,7 @@ class TableParser:
         return ParsedLines([[*lines, *own][k] for k in order.tolist()], whole, bad)
 
     def _table(self, pairs: list[tuple[str, Reading]]) -> ReadingTable:
-        """Return single readings as a table."""
+        """Combine single readings to a table."""
         shape = (len(pairs), len(self.columns))
         values, deviations = np.full(shape, math.nan), np.full(shape, math.nan)
         sensors = np.full(len(pairs), -1)
@@ -217,13 +217,13 @@ class TableParser:
 
 
 def _rebuilt(objects: list[str], table: ReadingTable, chosen: Places) -> ReadingTable:
-    """Return some rows of a table under the names of their objects."""
+    """Return selected rows of a table with their object names."""
     _, times, sensors, values, deviations = table
     return ReadingTable(objects, times[chosen], sensors[chosen], values[chosen], deviations[chosen])
 
 
 def _is_numeric(column: Column) -> bool:
-    """Return whether the first cell that holds something is a number."""
+    """Return whether the first non-empty cell is a number."""
     if isinstance(column, np.ndarray):
         return True
     first = next((cell for cell in column if not is_missing(cell)), "")
@@ -231,7 +231,7 @@ def _is_numeric(column: Column) -> bool:
 
 
 def _number(cell: Any, row: int, plain: Mask) -> float:
-    """Return the number in a cell, NaN where it is missing; a row with something else is not plain."""
+    """Convert a cell to a number, NaN where missing; a row with other content is not plain."""
     if is_missing(cell) or (isinstance(cell, str) and is_missing(cell.strip())):
         return math.nan
     try:
@@ -242,5 +242,5 @@ def _number(cell: Any, row: int, plain: Mask) -> float:
 
 
 def _cell(cell: Any) -> Any:
-    """Return a cell as one of a line: text without spaces around it."""
+    """Return a cell as text without surrounding spaces."""
     return cell.strip() if isinstance(cell, str) else cell.item() if isinstance(cell, np.generic) else cell

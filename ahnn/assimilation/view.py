@@ -1,4 +1,4 @@
-"""A live view of an assimilation on a terminal, drawn again in place; a line now and then elsewhere."""
+"""Live view of an assimilation: redrawn in place on a terminal, periodic lines elsewhere."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from ahnn.labels import momentum_unit
 from ahnn.types import Space
 
 LAST = 100
-"""Readings whose mean NIS is shown."""
+"""Number of readings whose mean NIS is shown."""
 OFTEN, SELDOM = 0.2, 5.0
-"""Seconds between two drawings on a terminal, and between two lines elsewhere."""
+"""Seconds between redraws on a terminal, and between lines elsewhere."""
 
 
 class View:
-    """State, 3-sigma, last innovations, NIS and counts, on standard error: rows may go to standard output.
+    """View of state, 3-sigma, last innovations, NIS and counts on standard error, since rows may use stdout.
 
     Args:
-        space: what the numbers mean.
-        console: where to draw; None is standard error.
+        space: description of the state components.
+        console: console to draw on; None for standard error.
     """
 
     def __init__(self, space: Space, console: Console | None = None) -> None:
@@ -51,7 +51,7 @@ class View:
             self.live.stop()
 
     def __call__(self, line: int, reading: Reading, estimate: Estimate, counts: Counter[str]) -> None:
-        """Show an estimate, unless the last one was shown a moment ago."""
+        """Show an estimate, at a limited rate."""
         told = estimate.innovation
         if told is not None and int(told.measured):
             self.recent.append((float(told.nis), int(told.measured)))
@@ -71,7 +71,7 @@ class View:
         self.console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def table(self, line: int, reading: Reading, estimate: Estimate, counts: Counter[str]) -> Table:
-        """Return what is shown on a terminal."""
+        """Build the table shown on a terminal."""
         units = self.space.units
         table = Table(title=f"{self.space.name}: line {line}, time {estimate.time:g} {units.time}")
         for head in ("", "estimate", "3 sigma", "unit"):
@@ -88,7 +88,7 @@ class View:
         return table
 
     def consistency(self) -> str:
-        """Return the mean NIS of the last readings beside its 95 % band."""
+        """Format the mean NIS of the last readings with its 95 % band."""
         if not self.recent:
             return "no innovation yet"
         mean, degrees = (sum(values) / len(self.recent) for values in zip(*self.recent, strict=True))
@@ -100,7 +100,7 @@ class View:
 
 
 def told(estimate: Estimate) -> str:
-    """Return the innovations of a reading in their standard deviations."""
+    """Format the innovations of a reading in standard deviations."""
     if estimate.innovation is None or not int(estimate.innovation.measured):
         return estimate.outcome
     ratio = (estimate.innovation.residual / estimate.innovation.deviation)[0].tolist()
@@ -108,5 +108,5 @@ def told(estimate: Estimate) -> str:
 
 
 def said(counts: Counter[str]) -> str:
-    """Return how many lines became what."""
+    """Format the counts of lines by outcome."""
     return ", ".join(f"{count:,} {word}" for word, count in sorted(counts.items())) or "no line yet"

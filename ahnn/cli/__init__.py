@@ -1,1 +1,1 @@
-"""All that knows Hydra, YAML paths, exit codes and messages."""
+"""Command-line interface: Hydra, YAML paths, exit codes and messages."""

@@ -1,4 +1,4 @@
-"""From a command line to trainings on tasks of the field, and the table of their scores."""
+"""Benchmark command: trainings on published tasks, and the table of their scores."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ log = logging.getLogger("ahnn")
 
 @dataclass(frozen=True)
 class BenchmarkRequest:
-    """What a command asks for beside the names of tasks."""
+    """Options of a benchmark command besides task names."""
 
     draws: Count = 10
     jobs: Count = 1
     models: list[str] = field(default_factory=list)
     output: str = "runs/benchmark"
-    only: Count | None = None  # this drawing alone, counted from 1: what a command with several jobs starts
+    only: Count | None = None  # a single draw, counted from 1: used by commands with several jobs
 
 
 class DrawnTraining(NamedTuple):
-    """One training on a task: which model, which drawing, and where."""
+    """One training on a task: model, draw, and folder."""
 
     task: str
     model: str
@@ -46,10 +46,10 @@ class DrawnTraining(NamedTuple):
 
 
 def benchmark(arguments: list[str], usage: str) -> None:
-    """Train and score what is not finished, and show the table.
+    """Train and score unfinished entries, and show the table.
 
     Raises:
-        UserError: unknown tasks or models, or a folder of something else.
+        UserError: unknown tasks or models, or a folder with other content.
         TrainingError: some trainings failed; the others are in the table.
     """
     names, pairs = divided(arguments)
@@ -72,7 +72,7 @@ def benchmark(arguments: list[str], usage: str) -> None:
 
 
 def tasks_of(names: list[str], usage: str) -> dict[str, FieldTask]:
-    """Return the tasks of some names; raises UserError for none, or one that is not known."""
+    """Return tasks by name; raises UserError for no or unknown names."""
     if unknown := [name for name in names if name not in (*TASKS, "all")]:
         message = f"benchmark: expected some of {', '.join(TASKS)}, or all; received {unknown[0]}"
         raise UserError(message)
@@ -83,7 +83,7 @@ def tasks_of(names: list[str], usage: str) -> dict[str, FieldTask]:
 
 
 def trainings(tasks: dict[str, FieldTask], asked: BenchmarkRequest) -> Iterator[DrawnTraining]:
-    """Yield the trainings of some tasks, drawing by drawing; raises UserError for a model that none has."""
+    """Yield the trainings of tasks, draw by draw; raises UserError for an unknown model."""
     known = list(dict.fromkeys(model for task in tasks.values() for model in task.models))
     if unknown := [model for model in asked.models if model not in known]:
         message = f"models: expected some of {', '.join(known)}; received {unknown[0]}"
@@ -111,7 +111,7 @@ def run(plan: list[DrawnTraining], asked: BenchmarkRequest) -> list[DrawnTrainin
 
 
 def one(training: DrawnTraining) -> None:
-    """Train and score in this process; the folder appears when both are done."""
+    """Train and score in this process; the folder appears atomically."""
     import torch
 
     task = TASKS[training.task]
@@ -121,7 +121,7 @@ def one(training: DrawnTraining) -> None:
         own = (*drawn.options, f"data.split={list(drawn.split)}", f"seed={training.draw}")
         options = [*task.models[training.model], *own]
         fitted = fit(drawn.data, drawn.space, options, folder=place / "run")
-        seconds = time.process_time() - begun  # of this process, whatever else the machine does
+        seconds = time.process_time() - begun  # process time, independent of other load
         with torch.no_grad():
             found = scored(drawn, lambda x, steps, dt: fitted.rollout(x, steps, dt))
         found["seconds"] = round(seconds, 1)
@@ -131,9 +131,9 @@ def one(training: DrawnTraining) -> None:
 
 
 def scored(drawn: Draw, predict: Predict) -> dict[str, float]:
-    """Return the scores of predictions by their names, and the floor where there is one.
+    """Return scores of predictions by name, and the floor if available.
 
-    A prediction that ends nowhere has an infinite score.
+    A diverged prediction has an infinite score.
     """
     scores = {"score": drawn.score, **drawn.also}
     found = {name: score(predict) for name, score in scores.items()}
@@ -142,7 +142,7 @@ def scored(drawn: Draw, predict: Predict) -> dict[str, float]:
 
 
 def scores_of(name: str, plan: list[DrawnTraining]) -> dict[str, list[dict[str, float]]]:
-    """Return what was scored on a task, by the name of the model."""
+    """Return the scores on a task by model name."""
     found: dict[str, list[dict[str, float]]] = {}
     for training in plan:
         if training.task == name and finished(training):

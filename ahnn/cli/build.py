@@ -1,4 +1,4 @@
-"""Objects from nodes of a configuration, their arguments checked against what they are for."""
+"""Construction of objects from configuration nodes, with validated arguments."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from ahnn.errors import TrainingError, UserError
 
 
 class Part(NamedTuple):
-    """A node with `_target_`.
+    """Configuration node with `_target_`.
 
     Attributes:
-        node: of the configuration; a nested node with a `_target_` is built unchecked.
-        kind: what it has to be.
-        given: names of further arguments, objects allowed; a target gets those that it has parameters for.
+        node: configuration node; a nested node with a `_target_` is built unchecked.
+        kind: required type.
+        given: names of further arguments, which may be objects; a target receives those that it accepts.
     """
 
     node: Any
@@ -35,17 +35,18 @@ class Part(NamedTuple):
 
 
 def factories(parts: Mapping[str, Part]) -> dict[str, Callable[..., Any]]:
-    """Return what builds each of several nodes, called with the arguments that are given to it.
+    """Return factories of several nodes, to be called with the given arguments.
 
     Raises:
-        UserError: begins with the name of a node: no such target, an unknown or missing argument, or one of
-            another type. What a target refuses itself, and another kind, is said when it is built.
+        UserError: the message begins with the name of a node: unknown target, an unknown or missing argument,
+            or one of the wrong type. Errors of the target itself, and a wrong kind, are raised on
+            construction.
     """
     return {who: factory(who, part) for who, part in parts.items()}
 
 
 def factory(who: str, part: Part) -> Callable[..., Any]:
-    """Return what builds a node; raises as `factories`."""
+    """Return the factory of a node; raises as `factories`."""
     arguments = plain_config(part.node) if isinstance(part.node, DictConfig) else {}
     target = arguments.pop("_target_", None)
     partial = arguments.pop("_partial_", False)
@@ -85,10 +86,10 @@ def build(node: Any, who: str, kind: type = object, **offered: Any) -> Any:
 
 @contextlib.contextmanager
 def blaming(who: str) -> Iterator[None]:
-    """Turn what a constructor says of its arguments into a message that names the configuration node."""
+    """Convert constructor errors to messages that name the configuration node."""
     try:
         yield
-    except (UserError, TrainingError, OSError, AssertionError):  # they speak for themselves
+    except (UserError, TrainingError, OSError, AssertionError):  # these errors are already clear
         raise
     except Exception as error:
         cause = error.__cause__ if isinstance(error, InstantiationException) and error.__cause__ else error
@@ -100,7 +101,7 @@ def blaming(who: str) -> Iterator[None]:
 
 
 def each(nodes: DictConfig, who: str, kind: type = object) -> dict[str, Part]:
-    """Return the named entries of a group under dotted names; an entry set to null is left out."""
+    """Return the named entries of a group under dotted names; entries set to null are omitted."""
     return {f"{who}.{name}": Part(node, kind) for name, node in nodes.items() if node is not None}
 
 
@@ -114,7 +115,7 @@ def plain_config(cfg: Any, who: str = "configuration") -> dict[str, Any]:
     """Return a configuration as plain, resolved values.
 
     Raises:
-        UserError: a value in place of keys.
+        UserError: a value instead of keys.
     """
     if not isinstance(cfg, DictConfig):
         message = f"{who}: expected keys with values; received {cfg!r}"
@@ -123,15 +124,15 @@ def plain_config(cfg: Any, who: str = "configuration") -> dict[str, Any]:
 
 
 def stored(cfg: DictConfig) -> bytes:
-    """Return the configuration as plain YAML; what plugins take from `measurement` stays linked to it."""
+    """Return the configuration as plain YAML; references of plugins to `measurement` are kept."""
     plugins = OmegaConf.to_container(cfg.plugins, resolve=False)
     return OmegaConf.to_yaml(OmegaConf.create({**plain_config(cfg), "plugins": plugins})).encode()
 
 
 def new_folder(path: str) -> str:
-    """Make a folder of this name, or with a number behind it, that no other process has; resolver of YAML.
+    """Create a folder of a given, possibly numbered, name for this process alone; YAML resolver.
 
-    None is made for a job that Hydra has given a folder already, nor for a command that only looks.
+    No folder is created for jobs whose folder Hydra has set, or for read-only commands.
     """
     placed = HydraConfig.initialized() and not OmegaConf.is_missing(HydraConfig.get().runtime, "output_dir")
     if placed or {"--cfg", "-c"} & {*sys.argv}:

@@ -1,7 +1,7 @@
-"""The command line, composed before Hydra sees it, so that every mistake in it is one message.
+"""Composition of the command line before Hydra, so that every mistake gives one message.
 
 Options and keys are those of the search path: this package's conf/, `--config-dir`, `hydra.searchpath` and
-the plugins that extend it, so that options of one's own are found and offered too.
+plugins that extend it, so that user-defined options are also found and suggested.
 """
 
 from __future__ import annotations
@@ -41,17 +41,17 @@ TEXTS = ("run", "pretrained", "ckpt", "weights", "name", "label", "start", "meas
 TEXTS += ("figure", "figures", "oem", "object", "system.path", "system.name", "data.cache")
 """Keys that name files, folders or things."""
 LISTS = ("run", "system.path")
-"""Those of them that take several."""
+"""Those of them that accept several values."""
 BARE = re.compile(r"\s*(true|false|[+-]?(inf|nan|(\d[\d_]*\.?\d*|\.\d+)(e[+-]?\d+)?))\s*", re.IGNORECASE)
-"""What Hydra takes for a number or a truth value."""
+"""Pattern of numbers and truth values in Hydra's grammar."""
 NAMES_A_RECIPE = ("recipe=", "loss=")
 
 
 def read(argv: Sequence[str]) -> Namespace:
-    """Return the flags and overrides of a command line.
+    """Parse the flags and overrides of a command line.
 
     Raises:
-        UserError: an unknown flag, or flags that do not go together.
+        UserError: an unknown flag, or incompatible flags.
     """
     parser = get_args_parser()
     parser.error = _refuse
@@ -69,7 +69,7 @@ def _refuse(message: str) -> NoReturn:
 
 
 def worded(text: str) -> str:
-    """Return KEY=VALUE with quotes around a number where the key takes a text: a folder may be named 007."""
+    """Quote numbers in KEY=VALUE for keys with text values: a folder may be named 007."""
     key, _, value = text.partition("=")
     many = key in LISTS and value.startswith("[") and value.endswith("]")
     if key not in TEXTS or not (many or BARE.fullmatch(value)):
@@ -80,10 +80,10 @@ def worded(text: str) -> str:
 
 
 def parse(text: str) -> Override:
-    """Return an override.
+    """Parse an override.
 
     Raises:
-        UserError: it is not written as one; the message shows how to quote its value.
+        UserError: invalid syntax; the message shows how to quote the value.
     """
     key, equals, value = text.partition("=")
     message = f"{text!r}: expected KEY=VALUE, for example seed=7"
@@ -104,7 +104,7 @@ def pair(text: str) -> tuple[str, Any]:
     """Return key and plain value of KEY=VALUE.
 
     Raises:
-        UserError: it is something else, such as a sweep over several values.
+        UserError: other syntax, such as a sweep over several values.
     """
     override = parse(worded(text))
     if override.is_sweep_override() or override.get_key_element() != override.key_or_group:
@@ -114,10 +114,10 @@ def pair(text: str) -> tuple[str, Any]:
 
 
 def config_loader(folder: str | None = None) -> ConfigLoaderImpl:
-    """Return Hydra's loader over the search path, with a folder of one's own before it.
+    """Return Hydra's loader over the search path, with a user folder before it.
 
     Raises:
-        UserError: it is no folder.
+        UserError: not a folder.
     """
     setup_globals()
     path = create_config_search_path(str(conf_dir()))
@@ -131,13 +131,13 @@ def config_loader(folder: str | None = None) -> ConfigLoaderImpl:
 
 
 def check(args: Namespace, config_name: str) -> DictConfig | None:
-    """Compose what a command line asks for, each swept option of a group with the first of all others.
+    """Compose the jobs of a command line, each swept group option with the first of all others.
 
-    Returns the configuration of the first job, None where the command line asks for no job.
+    Returns the configuration of the first job, or None without a job.
 
     Raises:
-        UserError: an option or key that is unknown, options that do not go together, a sweep without -m, or
-            one into a folder of somebody else.
+        UserError: an unknown option or key, incompatible options, a sweep without -m, or one into a foreign
+            folder.
     """
     if args.config_path or args.experimental_rerun or args.shell_completion:
         return None
@@ -161,10 +161,10 @@ def check(args: Namespace, config_name: str) -> DictConfig | None:
 
 
 def alternatives(override: Override, loader: ConfigLoaderImpl) -> list[str]:
-    """Return the override for each option of a group that it names, for the first value of a key.
+    """Return an override for each named option of a group, or for the first value of a key.
 
     Raises:
-        UserError: what it names of a group is no option.
+        UserError: an unknown option of a group.
     """
     group, value, key = override.key_or_group, override.value(), override.get_key_element()
     is_group = loader.repository.group_exists(group)
@@ -183,10 +183,10 @@ def alternatives(override: Override, loader: ConfigLoaderImpl) -> list[str]:
 
 
 def compose(loader: ConfigLoaderImpl, name: str, overrides: list[str]) -> DictConfig:
-    """Return the configuration of some overrides.
+    """Return the configuration of given overrides.
 
     Raises:
-        UserError: an unknown option or key, or options that do not go together.
+        UserError: an unknown option or key, or incompatible options.
     """
     try:
         cfg = loader.load_configuration(name, overrides, RunMode.RUN)
@@ -204,7 +204,7 @@ def compose(loader: ConfigLoaderImpl, name: str, overrides: list[str]) -> DictCo
         message = f"configuration: {first_line(error)}"
         if key := getattr(error.__cause__, "full_key", None):
             asked = [str(override.key_or_group) for override in map(parse, overrides)]
-            key = next((one for one in asked if one.startswith(f"{key}.")), key)  # the top of it is missing
+            key = next((one for one in asked if one.startswith(f"{key}.")), key)  # the beginning is missing
             hint = nearest_key(key, {*plain, *flatten(plain), *loader.list_groups("")})
             message = f"configuration: unknown key {key!r}{hint}"
         raise UserError(message) from error
@@ -216,7 +216,7 @@ def compose(loader: ConfigLoaderImpl, name: str, overrides: list[str]) -> DictCo
 
 
 def check_additions(loader: ConfigLoaderImpl, overrides: Iterable[str]) -> None:
-    """Refuse a key that is added at the top, where nothing reads it; deeper ones are some object's arguments.
+    """Reject keys added at the top level, where nothing reads them; deeper ones are arguments of objects.
 
     Raises:
         UserError: such a key, unless another override refers to it.
@@ -233,10 +233,10 @@ def check_additions(loader: ConfigLoaderImpl, overrides: Iterable[str]) -> None:
 
 
 def check_recipe(cfg: DictConfig, overrides: Iterable[str]) -> None:
-    """Refuse noise for a recipe that takes samples as exact and that nobody named, and windows for stretches.
+    """Reject noise with an implicit recipe for exact samples, and windows with one for segments.
 
     Raises:
-        UserError: what is named, and the recipe that was not.
+        UserError: such options; the message names them and the implicit recipe.
     """
     named = [text for text in overrides if text.startswith("window=")]
     noise = OmegaConf.select(cfg, "data.noise")
@@ -259,10 +259,10 @@ def check_recipe(cfg: DictConfig, overrides: Iterable[str]) -> None:
 
 
 def check_potential(cfg: DictConfig, overrides: Iterable[str]) -> None:
-    """Refuse the recipe of a sensor that nobody named where it is known to learn nothing from the beginning.
+    """Reject an implicit sensor recipe that is known to fail from random initial weights.
 
     Raises:
-        UserError: positions of orbits, the whole potential unknown, and shooting from the first step on.
+        UserError: positions of orbits with unknown potential and shooting from the first step on.
     """
     choices = OmegaConf.select(cfg, "hydra.runtime.choices") or {}
     meant = choices.get("sensor") == "orbit_positions" and choices.get("hamiltonian") == "mechanical"
@@ -281,7 +281,7 @@ def check_potential(cfg: DictConfig, overrides: Iterable[str]) -> None:
 def nearest_key(wrong: str, known: Iterable[str]) -> str:
     """Return a hint with the dotted key that is closest to a wrong one, as a whole or in its last part.
 
-    Without any that is close, the hint lists the top level alone: all keys are several pages.
+    Without a close match the hint lists only the top level, since all keys fill several pages.
     """
     known = sorted(known)
     last = wrong.rpartition(".")[2]
@@ -294,7 +294,7 @@ def nearest_key(wrong: str, known: Iterable[str]) -> str:
 
 
 def first_line(error: BaseException) -> str:
-    """Return the first line of an error, or of what it came from."""
+    """Return the first line of an error, or of its cause."""
     source = error if str(error).strip() else (error.__cause__ or error.__context__ or error)
     lines = [line.strip() for line in str(source).splitlines() if line.strip()] or [type(source).__name__]
     return f"{lines[0]} {lines[1]}" if lines[0].endswith(":") and len(lines) > 1 else lines[0]

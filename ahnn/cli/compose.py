@@ -1,4 +1,4 @@
-"""Jobs composed without a command line: one of any configuration, a training, or all jobs of a sweep."""
+"""Composition of jobs without a command line: any configuration, a training, or a sweep."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from ahnn.cli.unreferenced_keys import require_referenced
 
 
 def composed(name: str, overrides: Sequence[str], *, partly: bool = False) -> DictConfig:
-    """Return the configuration NAME of conf/ with overrides; `partly` where some of its nodes are used alone.
+    """Return the configuration NAME of conf/ with overrides; `partly` if only some nodes are used.
 
     Raises:
-        UserError: they do not compose, or one of them has no effect on the whole.
+        UserError: they do not compose, or an override has no effect.
     """
     loader, texts = config_loader(), [worded(text) for text in overrides]
     for text in texts:
@@ -29,15 +29,15 @@ def composed(name: str, overrides: Sequence[str], *, partly: bool = False) -> Di
 
 
 def compose_job(overrides: Sequence[str], folder: Path) -> DictConfig:
-    """Return a training in a folder, without plugins unless they are asked for; raises as `composed`."""
+    """Compose a training in a folder, without plugins unless requested; raises as `composed`."""
     defaults = [] if any(text.startswith("plugins=") for text in overrides) else ["plugins=none"]
     cfg = composed("train", [*defaults, *overrides])
-    cfg.folder = cfg.run = str(folder).replace("${", r"\${")  # the name of a folder is no interpolation
+    cfg.folder = cfg.run = str(folder).replace("${", r"\${")  # prevents interpolation of the folder name
     return cfg
 
 
 def compose_sweep(overrides: Sequence[str]) -> list[DictConfig]:
-    """Return the trainings that Hydra's basic sweeper makes of overrides, in order; raises as `composed`."""
+    """Compose the trainings of Hydra's basic sweeper for overrides, in order; raises as `composed`."""
     loader = config_loader()
     single = [text for text in overrides if not parse(text).is_sweep_override()]
     for text in overrides:
@@ -50,7 +50,7 @@ def compose_sweep(overrides: Sequence[str]) -> list[DictConfig]:
 
 
 def _opened(cfg: DictConfig) -> DictConfig:
-    """Return a configuration that takes further keys, without the part of Hydra."""
+    """Return a configuration that accepts further keys, without Hydra's own node."""
     OmegaConf.set_struct(cfg, False)
     del cfg["hydra"]
     return cfg

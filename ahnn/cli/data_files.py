@@ -1,4 +1,4 @@
-"""From a command line to a check of files: `check PATH... [key=value]`."""
+"""Command line of the data check: `check PATH... [key=value]`."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ahnn.data.files import Files
 from ahnn.errors import UserError
 
 KEYS = ("mass", "gap", "frame", "step", "duration")
-"""Of `system=files`."""
+"""Options of `system=files`."""
 
 
 def read_check(arguments: list[str], usage: str) -> tuple[list[Path], Path | None, dict[str, Any]]:
-    """Return the files, the folder for figures and the options of a command line; raises UserError."""
+    """Parse the files, the folder for figures and the options of a command line; raises UserError."""
     paths, pairs = divided(arguments[1:], (*KEYS, "figures"))
     named = [text.partition("=")[0] for text in pairs]
     if unknown := [key for key in named if key not in (*KEYS, "figures")]:

@@ -1,4 +1,4 @@
-"""What ends a training early, by the user's will or a scheduler's: one message and an exit code."""
+"""Early termination by user or scheduler: one message and an exit code."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ def _raise(number: int, frame: Any) -> None:
 
 
 def arrived() -> Stopped | None:
-    """Return the signal that arrived since `listen`, if any: whatever fails after it fails because of it.
+    """Return the signal received since `listen`, if any: later failures are attributed to it.
 
-    An import that it interrupts may swallow the exception and fail in a way of its own.
+    An interrupted import may swallow the exception and fail differently.
     """
     return Stopped(_arrived[0]) if _arrived else None
 
 
 def listen() -> None:
-    """Let signals raise `KeyboardInterrupt` or `Stopped`, unless somebody has them ignored (nohup)."""
+    """Let signals raise `KeyboardInterrupt` or `Stopped`, unless they are ignored (nohup)."""
     _arrived.clear()
     _hand_to(_raise)
 
 
 def _hand_to(handler: Callable[[int, Any], Any]) -> dict[int, Any]:
-    """Give the signals that nobody has ignored to a handler; return their former ones."""
+    """Install a handler for signals that are not ignored; return the former handlers."""
     if threading.current_thread() is not threading.main_thread():
         return {}
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -50,7 +50,7 @@ def _hand_to(handler: Callable[[int, Any], Any]) -> dict[int, Any]:
 
 @contextlib.contextmanager
 def held() -> Iterator[None]:
-    """Let signals wait: an exception in the middle of an import leaves libraries that recurse or abort."""
+    """Defer signals: an exception in the middle of an import leaves libraries that recurse or abort."""
     waiting: list[int] = []
     before = _hand_to(lambda number, _: waiting.append(number))
     try:
@@ -64,19 +64,19 @@ def held() -> Iterator[None]:
 
 @contextlib.contextmanager
 def ended(how_to_go_on: Callable[[], str], *, speaks: bool = True) -> Iterator[None]:
-    """Say how to go on where a signal ends work that keeps its state; of several processes one speaks.
+    """Log how to resume after a signal; of several processes only one logs.
 
-    Lightning answers Ctrl-C with an exit of its own, code 1.
+    Lightning itself exits with code 1 on Ctrl-C.
     """
     try:
-        if stop := arrived():  # a library swallowed what it raised
+        if stop := arrived():  # a library swallowed the exception
             raise stop
         yield
     except (KeyboardInterrupt, SystemExit, Stopped) as stop:
         by_ctrl_c = isinstance(stop, KeyboardInterrupt) or isinstance(stop.__context__, KeyboardInterrupt)
         if not (by_ctrl_c or isinstance(stop, Stopped)):
             raise
-        _hand_to(lambda *_: None)  # a second signal shall not take the place of the message
+        _hand_to(lambda *_: None)  # a second signal must not replace the message
         known = stop if isinstance(stop, Stopped) else Stopped(signal.SIGINT)
         if not speaks:
             sys.exit(code_of(known))
@@ -84,17 +84,17 @@ def ended(how_to_go_on: Callable[[], str], *, speaks: bool = True) -> Iterator[N
 
 
 def code_of(stop: Stopped) -> int:
-    """Return the exit code of a process that a signal ended, as a shell counts."""
+    """Return the exit code of a process ended by a signal, by shell convention."""
     return 128 + stop.signal
 
 
 @contextlib.contextmanager
 def interruptible(trainer: Trainer, how_to_go_on: Callable[[], str]) -> Iterator[None]:
-    """Turn what ends a fit or an evaluation early into one message.
+    """Convert early termination of a fit or an evaluation to one message.
 
     Raises:
-        Stopped: with the command that resumes.
-        UserError: settings of the trainer that do not go together.
+        Stopped: on a signal, with the resume command in the message.
+        UserError: incompatible trainer settings.
     """
     from lightning.fabric.utilities.exceptions import MisconfigurationException
 

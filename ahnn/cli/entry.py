@@ -1,4 +1,4 @@
-"""From the command line to a task under Hydra."""
+"""Entry point of tasks under Hydra."""
 
 from __future__ import annotations
 
@@ -25,16 +25,17 @@ from ahnn.paths import conf_dir
 
 
 def run_hydra(task: Callable[[DictConfig], Any], config_name: str = "train") -> None:
-    """Run a task under Hydra; a user's mistake ends in one message and an exit code, not a traceback."""
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # makes Hydra raise, so that the messages are ours
-    # Hydra takes no null for a group. For a group that is empty by default it is as good as no word.
+    """Run a task under Hydra; user errors give one message and an exit code, not a traceback."""
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # makes Hydra raise, for our own messages
+    # Hydra does not accept null for a group. For a group that is empty by default it is equivalent to no
+    # override.
     given = [argument for argument in sys.argv if argument not in ("experiment=null", "sweep=null")]
     sys.argv = [commandline.worded(argument) for argument in given]
     leave(guard(lambda: start(task, config_name)))
 
 
 def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
-    """Answer a request for help or completion, or check the command line and hand it to Hydra."""
+    """Answer a request for help or completion, or check the command line and pass it to Hydra."""
     args = commandline.read(sys.argv[1:])
     if args.help:
         return show_help(args)
@@ -44,22 +45,22 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
     own = named_folder(args.overrides)
     is_new = own is None or not own.exists()
     above = [path for path in (own or Path("runs", "day")).absolute().parents if not path.exists()]
-    if not is_new:  # what lies in it is somebody's property: Hydra must not write there before we have looked
+    if not is_new:  # may be a foreign folder: Hydra must not write there before our check
         sys.argv.append("hydra.output_subdir=null")
 
     @functools.wraps(task)
     def tidy(cfg: DictConfig) -> Any:
-        if stop := arrived():  # what composes a configuration swallowed what it raised
+        if stop := arrived():  # composition swallowed the exception
             raise stop
         if HydraConfig.get().mode is RunMode.MULTIRUN or cfg.get("trial") is not None:
             return task(cfg)  # who runs several jobs has to see how each of them ended
         if code := guard(lambda: task(cfg)):
             if is_new:
                 forget(folder := Path(HydraConfig.get().runtime.output_dir))
-                for path in above if own is not None else (folder.parent, *above):  # that of the day
+                for path in above if own is not None else (folder.parent, *above):  # folder of the day
                     with contextlib.suppress(OSError):
                         path.rmdir()
-            leave(code)  # past Hydra, which would say that there was an error
+            leave(code)  # bypasses Hydra, which would report an error
         return None
 
     with contextlib.nullcontext() if first is None else known_mode(first.hydra.mode):
@@ -68,7 +69,7 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
 
 @contextlib.contextmanager
 def known_mode(mode: RunMode | None) -> Iterator[None]:
-    """Spare Hydra the composition, half a second, in which it looks up its mode."""
+    """Avoid Hydra's extra composition for its mode, which takes half a second."""
     look_up = Hydra.get_mode
     Hydra.get_mode = lambda *_, **__: mode
     try:
@@ -78,14 +79,14 @@ def known_mode(mode: RunMode | None) -> Iterator[None]:
 
 
 def named_folder(overrides: Sequence[str]) -> Path | None:
-    """Return the run folder that a command line names; None takes a new one."""
+    """Return the run folder named on the command line, or None for a new one."""
     named = [text for text in overrides if text.startswith(("run=", "hydra.run.dir="))]
     single = [text for text in named if not commandline.parse(text).is_sweep_override()]
     return Path(str(commandline.pair(single[-1])[1])) if single else None
 
 
 def forget(folder: Path) -> None:
-    """Remove the folder that this process made for a run that never began, with none of its seeds."""
+    """Remove the empty folder of a run that never began, including those of its seeds."""
     if not any((f / "config.yaml").exists() for f in (folder, *folder.glob("seed_*"))):
         shutil.rmtree(folder / ".hydra", ignore_errors=True)
         with contextlib.suppress(OSError):

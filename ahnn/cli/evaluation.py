@@ -1,4 +1,4 @@
-"""From a command line to the evaluation of a finished run."""
+"""Command line of the evaluation of a finished run."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from ahnn.loading import load
 
 
 def read_evaluation(arguments: list[str], usage: str) -> Reevaluation:
-    """Return the evaluation that a command line asks for.
+    """Build the evaluation requested on the command line.
 
     Raises:
-        UserError: no such run, or an override that has no effect on a finished one.
+        UserError: a missing run, or an override without effect on a finished one.
     """
     request = Request.of(arguments, usage)
     run = load(request.source, request.ckpt)
@@ -26,7 +26,7 @@ def read_evaluation(arguments: list[str], usage: str) -> Reevaluation:
     sensor = build_sensor(cfg, source)
     unread = (*unread_of_data(cfg, source, sensor), *unread_of_plugins(cfg.plugins))
     refuse(unread, request.overrides)
-    splits = SplitData(source, list(cfg.data.split), sensor)  # it needs no windows
+    splits = SplitData(source, list(cfg.data.split), sensor)  # windows are not needed
     return Reevaluation(
         run=run,
         ckpt=request.ckpt,

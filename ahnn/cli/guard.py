@@ -1,8 +1,7 @@
-"""Errors as one message and an exit code.
+"""Conversion of errors to one message and an exit code.
 
-Exit codes: 0 done, 2 a mistake in what was asked for, 3 training could not go on, 128 + n stopped by signal
-n, which is 130 for Ctrl-C, 143 for SIGTERM and 129 for SIGHUP. Where the reader of a pipe has gone, as
-`| head` has, it is that of SIGPIPE, 141, without a word.
+Exit codes: 0 done, 2 user error, 3 training failed, 128 + n stopped by signal n: 130 for Ctrl-C, 143 for
+SIGTERM and 129 for SIGHUP. A closed pipe, as with `| head`, gives that of SIGPIPE, 141, without a message.
 """
 
 from __future__ import annotations
@@ -23,18 +22,18 @@ from ahnn.memory import keep_freed
 
 OURS = (UserError, TrainingError)
 NO_MEMORY = re.compile(r"can't allocate memory|out of memory", re.IGNORECASE)
-"""What torch says where there is none, in an error of any type."""
+"""Beginning of torch's out-of-memory messages, which occur in errors of any type."""
 
 
 def run_command(
     task: Callable[[list[str]], Any], about: str | None, level: int = logging.WARNING
 ) -> NoReturn:
-    """End the process with the exit code of a task on its arguments, or of telling what it is about.
+    """Run a task on the command line arguments, or show its help, and exit with its code.
 
     Args:
-        task: of the arguments of the command line.
-        about: what `--help` shows.
-        level: of the messages that are shown.
+        task: function of the command line arguments.
+        about: text of `--help`.
+        level: level of the messages shown.
     """
     arguments = sys.argv[1:]
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
@@ -46,17 +45,17 @@ def run_command(
 
 def guard(entry: Callable[[], Any]) -> int:
     """Call an entry point and return its exit code."""
-    for name in ("stdout", "stderr"):  # a service may have closed them
+    for name in ("stdout", "stderr"):  # a service may have closed the standard streams
         if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 - as long as the process
-    for stream in (sys.stdout, sys.stderr):  # a terminal that knows ASCII alone shows ? for ²
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 - open for the lifetime of the process
+    for stream in (sys.stdout, sys.stderr):  # ASCII terminals show ? for ²
         with contextlib.suppress(AttributeError, OSError, ValueError):
             stream.reconfigure(errors="replace")  # pyright: ignore[reportAttributeAccessIssue]
     keep_freed()
     listen()
     try:
         entry()
-        sys.stdout.flush()  # what a full disk or a closed pipe has not taken shows here, and not at the exit
+        sys.stdout.flush()  # a full disk or a closed pipe is detected here instead of at exit
     except (Stopped, KeyboardInterrupt) as stop:
         return end(stop)
     except Exception as error:
@@ -64,7 +63,7 @@ def guard(entry: Callable[[], Any]) -> int:
             return end(stop)
         if isinstance(error, OURS):
             return report(error)
-        if of_configuration(error):  # some of them are OSErrors
+        if of_configuration(error):  # some are OSErrors
             return report(configured(error))
         if isinstance(error, MemoryError) or NO_MEMORY.search(str(error)):
             said = " ".join(str(error).split()) or "a request that the system refused"
@@ -82,23 +81,23 @@ def guard(entry: Callable[[], Any]) -> int:
 
 
 def leave(code: int) -> NoReturn:
-    """End the process with an exit code, whatever becomes of what standard output has not taken."""
+    """Exit with a code, discarding unwritten standard output."""
     try:
         sys.stdout.flush()
     except OSError:
-        with contextlib.suppress(OSError, ValueError):  # Python tries again at the exit
+        with contextlib.suppress(OSError, ValueError):  # Python tries again at exit
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(code)
 
 
 def end(stop: BaseException) -> int:
-    """Say what stopped the command and return the exit code."""
+    """Report what stopped the command and return the exit code."""
     known = stop if isinstance(stop, Stopped) else Stopped(signal.SIGINT)
     return report(known if str(known) else known.saying("the same command starts again from the beginning"))
 
 
 def stop_behind(error: BaseException) -> BaseException | None:
-    """Return the stop in whose clean-up another error came up, which took its place."""
+    """Return the stop exception hidden by an error during its clean-up."""
     while error.__context__ is not None:
         error = error.__context__
         if isinstance(error, Stopped | KeyboardInterrupt):
@@ -107,7 +106,7 @@ def stop_behind(error: BaseException) -> BaseException | None:
 
 
 def in_library(error: Exception) -> bool:
-    """Return whether an exception comes from the body of a module that is not ours: its import failed."""
+    """Return whether an exception comes from the body of a foreign module, i.e. a failed import."""
     frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
     bodies = any(frame.f_code.co_name == "<module>" for frame in frames)
     return bodies and not frames[-1].f_globals.get("__name__", "").startswith("ahnn")
@@ -115,7 +114,7 @@ def in_library(error: Exception) -> bool:
 
 @contextlib.contextmanager
 def in_words() -> Iterator[None]:
-    """Raise what Hydra or OmegaConf says of a configuration as a UserError: in Python nobody guards."""
+    """Convert Hydra and OmegaConf configuration errors to UserError, for use from Python."""
     try:
         yield
     except Exception as error:
@@ -130,7 +129,7 @@ def of_configuration(error: Exception) -> bool:
 
 
 def configured(error: Exception) -> Exception | str:
-    """Return what Hydra or OmegaConf says of a configuration, on one line with the key, or our own cause."""
+    """Return a Hydra or OmegaConf message on one line with the key, or our own cause."""
     from ahnn.cli.commandline import first_line
 
     if isinstance(error.__cause__, OURS):
@@ -141,6 +140,6 @@ def configured(error: Exception) -> Exception | str:
 
 def report(said: BaseException | str) -> int:
     """Write a message to standard error and return its exit code."""
-    with contextlib.suppress(OSError):  # then the code has to do
+    with contextlib.suppress(OSError):  # without a stream only the exit code remains
         sys.stderr.write(f"ahnn: {said}\n")
     return code_of(said) if isinstance(said, Stopped) else 3 if isinstance(said, TrainingError) else 2

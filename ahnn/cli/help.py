@@ -1,4 +1,4 @@
-"""What `--help` says, the commented YAML of an option, and completion of commands in bash."""
+"""Help texts, commented YAML of options, and bash completion."""
 
 from __future__ import annotations
 
@@ -58,10 +58,10 @@ complete -o nospace -o default -F _ahnn_train ahnn-train python python3
 
 
 def show_help(args: Namespace) -> None:
-    """Write the help, or the YAML of the options that are named beside it.
+    """Print the help, or the YAML of named options.
 
     Raises:
-        UserError: no such option.
+        UserError: unknown option.
     """
     loader = config_loader(args.config_dir)
     for override in map(parse, args.overrides):
@@ -72,7 +72,7 @@ def show_help(args: Namespace) -> None:
 
 
 def group_lines(loader: ConfigLoaderImpl) -> Iterator[str]:
-    """Yield each group with its options, what a plain command chooses in brackets."""
+    """Yield each group with its options, with defaults in brackets."""
     chosen = loader.load_configuration("train", [], RunMode.RUN).hydra.runtime.choices
     defaults = {str(key).partition("@")[0]: name for key, name in chosen.items()}
     for group in loader.list_groups(""):
@@ -86,10 +86,10 @@ def group_lines(loader: ConfigLoaderImpl) -> Iterator[str]:
 
 
 def option_text(loader: ConfigLoaderImpl, group: str, option: str) -> Iterator[str]:
-    """Yield the YAML of an option, after that of the options that it is built on.
+    """Yield the YAML of an option, preceded by that of its base options.
 
     Raises:
-        UserError: no such option.
+        UserError: unknown option.
     """
     name = f"{group}/{option}.yaml"
     for source in loader.get_sources():
@@ -109,7 +109,7 @@ def option_text(loader: ConfigLoaderImpl, group: str, option: str) -> Iterator[s
 
 
 def show_completion(args: Namespace) -> bool:
-    """Write the bash function that completes both commands, if asked for it; return whether."""
+    """Print the bash completion function if requested; return whether it was."""
     if args.overrides != ["install=bash"]:
         return False
     sys.stdout.write(COMPLETION.replace("PYTHON", sys.executable))

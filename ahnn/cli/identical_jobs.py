@@ -1,4 +1,4 @@
-"""Jobs of a sweep that would train the same weights: said before the first begins."""
+"""Detection of sweep jobs with identical trainings, before the first begins."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from omegaconf import DictConfig, OmegaConf
 log = logging.getLogger(__name__)
 
 NAMES = ("label", "model_label", "run", "folder", "hydra", "required")
-"""What says how a training is called, and not what it does."""
+"""Keys that label a training without affecting it."""
 
 
 def warn_of_twins(jobs: Iterable[DictConfig], names: Iterable[str]) -> None:
-    """Warn of each job whose training is that of one before it."""
+    """Warn of each job whose training equals that of an earlier one."""
     seen: dict[str, str] = {}
     for cfg, name in zip(jobs, names, strict=True):
         first = seen.setdefault(repr(decisive(cfg)), name)
@@ -24,7 +24,7 @@ def warn_of_twins(jobs: Iterable[DictConfig], names: Iterable[str]) -> None:
 
 
 def decisive(cfg: DictConfig) -> dict[str, Any]:
-    """Return what a training depends on; the window W of recursive predictions only where there are any."""
+    """Return the settings that determine a training; W only if recursive predictions are used."""
     plain: Any = OmegaConf.to_container(cfg, resolve=False)
     return {
         key: plain[key] for key in sorted(plain) if key not in NAMES and (key != "window" or _recurs(cfg))
@@ -32,10 +32,10 @@ def decisive(cfg: DictConfig) -> dict[str, Any]:
 
 
 def _recurs(cfg: DictConfig) -> bool:
-    """Return whether recursive predictions are learned from in the last epoch, or choose the best weights."""
+    """Return whether recursive predictions are used in the last epoch or for selection of weights."""
     fraction, epochs = (OmegaConf.select(cfg, key) for key in ("loss.derivative", "trainer.max_epochs"))
-    if fraction is None:  # measurements: stages say how long segments are
+    if fraction is None:  # for measurements the stages define the segment lengths
         return False
     chosen = OmegaConf.select(cfg, "callbacks.best.monitor") != "val/rollout"
-    known = isinstance(epochs, int) and isinstance(fraction, int | float)  # types are checked in each job
+    known = isinstance(epochs, int) and isinstance(fraction, int | float)  # types are validated in each job
     return chosen or not known or epochs - 1 >= fraction * epochs

@@ -1,4 +1,4 @@
-"""The heavy imports of a command: no signal cuts them, and nobody looks for garbage in them."""
+"""Heavy imports of a command, without interruption by signals or garbage collection."""
 
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ from ahnn.cli.early_stops import held
 
 @contextlib.contextmanager
 def importing() -> Iterator[None]:
-    """Import what stays until the process ends, at the beginning of a command.
+    """Import long-lived modules at the beginning of a command.
 
-    Signals wait, as `held` says. Python's collector rests: it would go through all modules again and again.
-    What is alive after the first such block is left out of every later collection, that of the exit too.
+    Signals are deferred, see `held`. Garbage collection is disabled, since it would repeatedly traverse all
+    modules. Objects alive after the first such block are excluded from later collections, including that at
+    exit.
     """
     collects = gc.isenabled()
     gc.disable()
@@ -34,10 +35,10 @@ def importing() -> Iterator[None]:
 
 
 def let_import(targets: Iterable[object]) -> None:
-    """Let modules of the working directory be imported, behind all others, where the user names one of them.
+    """Allow imports from the working directory, after all other paths, if the user names such a module.
 
     Args:
-        targets: each `_target_` of a configuration that is the user's own, or that he trusts.
+        targets: each `_target_` of a configuration written or trusted by the user.
     """
     for target in targets:
         name, here = str(target).partition(".")[0], os.getcwd()
@@ -47,13 +48,13 @@ def let_import(targets: Iterable[object]) -> None:
 
 
 def import_torchmetrics() -> None:
-    """Import torchmetrics, which Lightning needs, without scipy.signal: that is a seventh of a short command.
+    """Import torchmetrics, needed by Lightning, without scipy.signal, a seventh of a short command.
 
-    It imports scipy.signal only to look for a name of older versions there, for another package's sake.
+    torchmetrics imports scipy.signal only to check for a name of older versions.
     """
     if not {"scipy.signal", "torchmetrics"} & sys.modules.keys():
         stand_in = ModuleType("scipy.signal")
-        setattr(stand_in, "hamming", None)  # noqa: B010 - no attribute that a type checker knows
+        setattr(stand_in, "hamming", None)  # noqa: B010 - attribute unknown to type checkers
         sys.modules["scipy.signal"] = stand_in
         try:
             import torchmetrics  # noqa: F401
@@ -61,6 +62,6 @@ def import_torchmetrics() -> None:
             del sys.modules["scipy.signal"]
 
 
-@cache  # once: of several jobs in one process, the later find garbage of the earlier, which must go
+@cache  # only once: later jobs of a process must collect the garbage of earlier ones
 def _leave_alone() -> None:
     gc.freeze()

@@ -1,4 +1,4 @@
-"""From a command line to an orbit determination: `FILE.yaml [KEY=VALUE...]`."""
+"""Command line of orbit determination: `FILE.yaml [KEY=VALUE...]`."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from ahnn.jobs.determining import OrbitRequest
 from ahnn.tracking.orbit_setup import setup_of
 
 OWN = ("folder", "out")
-"""Keys of the command beside those of the file."""
+"""Keys of the command in addition to those of the file."""
 
 
 def read_orbit(arguments: list[str], usage: str) -> OrbitRequest:
-    """Return what a command line asks for.
+    """Build the request of a command line.
 
     Raises:
-        UserError: no file, a key that is unknown or missing, or a value of another type.
+        UserError: a missing file, an unknown or missing key, or a value of the wrong type.
     """
     paths, texts = divided(arguments, OWN)
     if len(paths) != 1:
@@ -40,7 +40,7 @@ def read_orbit(arguments: list[str], usage: str) -> OrbitRequest:
 
 
 def put(values: dict[str, Any], key: str, value: Any) -> None:
-    """Set a value under a dotted key; raises UserError where a part of it has no keys below."""
+    """Set a value under a dotted key; raises UserError if a parent is not a mapping."""
     *above, last = key.split(".")
     place = values
     for part in above:

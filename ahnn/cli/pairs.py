@@ -1,4 +1,4 @@
-"""The grammar of commands that compose no training: KEY=VALUE, quoted as in Hydra, and paths beside them."""
+"""Grammar of commands other than training: KEY=VALUE, quoted as in Hydra, and paths."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ T = TypeVar("T")
 
 
 def read_pairs(arguments: list[str], schema: type[T], usage: str) -> T:
-    """Return what a command line asks for.
+    """Parse a command line.
 
     Args:
         arguments: KEY=VALUE, lists in brackets.
-        schema: a dataclass.
-        usage: for the message when nothing is given.
+        schema: dataclass of the keys.
+        usage: message for an empty command line.
 
     Raises:
-        UserError: no KEY=VALUE, a key that is unknown or missing, or a value of another type.
+        UserError: invalid syntax, an unknown or missing key, or a value of the wrong type.
     """
     if not arguments:
         message = f"{usage}; received nothing"
@@ -33,11 +33,11 @@ def read_pairs(arguments: list[str], schema: type[T], usage: str) -> T:
 
 
 def divided(arguments: Iterable[str], keys: Collection[str] = ()) -> tuple[list[Path], list[str]]:
-    """Return the paths of a command line, and its KEY=VALUE; a path with that sign in it is one that exists.
+    """Split a command line into paths and KEY=VALUE; a path may contain = if it exists.
 
     Args:
         arguments: in any order.
-        keys: that name no path, whatever exists.
+        keys: keys that are never treated as paths.
     """
     paths, pairs = [], []
     for text in arguments:

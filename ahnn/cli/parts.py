@@ -1,4 +1,4 @@
-"""What a training and an evaluation share: source, sensor and plugins of a configuration."""
+"""Construction of source, sensor and plugins, shared by training and evaluation."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from ahnn.evaluation import EvaluationPlugin
 
 SIMULATION = ("trajectories", "seed", "cache")
-"""Keys of `data` that say how many trajectories are simulated, and where they are kept."""
+"""Keys of `data` for the number of simulated trajectories and their cache."""
 SENSOR = {"measured": None, "noise": None, "every": 1, "stride": 1, "gaps": 0, "outliers": 0}
 SENSOR |= {"bias_sd": None, "correlation": None}
-"""Keys of `data` that say what training sees of the trajectories, with the values that change nothing."""
+"""Keys of `data` for the sensor of training, with values without effect."""
 
 
 def build_source(cfg: DictConfig) -> Source:
-    """Build where the trajectories come from: a system is simulated, anything else reads by itself."""
+    """Build the source of trajectories: a simulated system, or a reader."""
     built = build(cfg.system, "system")
     if isinstance(built, Recordings):
         built.check()
@@ -42,9 +42,9 @@ def build_source(cfg: DictConfig) -> Source:
 
 
 def build_sensor(cfg: DictConfig, source: Source) -> Sensor | None:
-    """Build what training sees of trajectories, drawn or in files; None where it sees their states."""
+    """Build the sensor of training, simulated or recorded; None for exact states."""
     data = plain_config(cfg.data)
-    # Runs of older versions lack some of the keys.
+    # Runs of older versions lack some keys.
     options: dict[str, Any] = {name: data.get(name, value) for name, value in SENSOR.items()}
     if isinstance(source, Recordings):
         return build_recorded(options, source)
@@ -63,10 +63,10 @@ def build_sensor(cfg: DictConfig, source: Source) -> Sensor | None:
 
 
 def build_recorded(options: dict[str, Any], source: Recordings) -> Recorded | None:
-    """Build what gave recorded numbers; None where they are exact states.
+    """Build the sensor of recorded data; None for exact states.
 
     Raises:
-        UserError: positions without their noise, or what is drawn onto simulated measurements alone.
+        UserError: positions without their noise, or options of simulated measurements only.
     """
     kept = {name: options.pop(name) for name in ("measured", "noise", "stride", "bias_sd", "correlation")}
     measured, noise = kept["measured"], kept["noise"]
@@ -94,7 +94,7 @@ def build_recorded(options: dict[str, Any], source: Recordings) -> Recorded | No
 
 
 def build_plugins(cfg: DictConfig, splits: SplitData) -> dict[str, EvaluationPlugin]:
-    """Build the evaluations that run after fit, and let each refuse data that it does not fit."""
+    """Build the evaluations that run after fit, and check each against the data."""
     from ahnn.evaluation import EvaluationPlugin
 
     plugins = build_all(cfg.plugins, "plugins", EvaluationPlugin)
@@ -109,9 +109,9 @@ def build_plugins(cfg: DictConfig, splits: SplitData) -> dict[str, EvaluationPlu
 
 
 def report_options(cfg: DictConfig) -> dict[str, Any]:
-    """Return what the user asks of the report."""
+    """Return the user's report options."""
     asked = cfg.evaluation
-    detail = asked.get("detail", False)  # runs of earlier versions do not have it
+    detail = asked.get("detail", False)  # absent in runs of earlier versions
     return {"predictions": asked.save_predictions, "figures": asked.figures, "detail": detail}
 
 

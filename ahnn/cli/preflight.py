@@ -1,4 +1,4 @@
-"""Before the fit: settings that can be, a quiet Lightning, and a folder that holds no other training."""
+"""Checks before training: settings, Lightning warnings, and an unused run folder."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ HINTS = (
     ".*srun. command is available on your system but is not used.*",
     "GPU available but not used.*",
 )
-"""What Lightning warns of though it is intended, such as short epochs or a login node without `srun`."""
+"""Lightning warnings on intended settings, such as short epochs or a login node without `srun`."""
 
 WRITTEN = ("config.yaml", "metrics.json", "predictions.safetensors")
-"""Results beside figures and checkpoints."""
+"""Result files besides figures and checkpoints."""
 
 
 def begin(cfg: DictConfig) -> None:
-    """Check the settings of a job, and only then import what is heavy.
+    """Check the settings of a job before heavy imports.
 
     Raises:
-        UserError: a setting that is impossible.
+        UserError: an impossible setting.
     """
     check_settings(cfg)
     with importing():
@@ -42,21 +42,21 @@ def begin(cfg: DictConfig) -> None:
 
 
 def quiet() -> None:
-    """Silence Lightning's warnings about what is intended."""
+    """Silence Lightning's warnings on intended settings."""
     with held():
         import_torchmetrics()
         from lightning.pytorch.utilities import rank_zero_only
 
     for name in ("lightning.pytorch", "lightning.fabric"):
         logging.getLogger(name).setLevel(logging.WARNING)
-    if getattr(rank_zero_only, "rank", 0):  # of several processes, one speaks
+    if getattr(rank_zero_only, "rank", 0):  # only one of several processes logs
         logging.getLogger("ahnn").setLevel(logging.WARNING)
     for hint in HINTS:
         warnings.filterwarnings("ignore", hint)
 
 
 def require_new(folder: Path, ckpt: str | None) -> None:
-    """Check that a training replaces no other from the start, and nothing of somebody else at all.
+    """Check that a training overwrites neither another training nor foreign files.
 
     Raises:
         UserError: the folder holds checkpoints and none is resumed, or files that are not ours.

@@ -1,4 +1,4 @@
-"""From a configuration to a prepared training, in one place; nothing is generated: mistakes show at once."""
+"""Preparation of a training from a configuration, without generating data, so that errors appear early."""
 
 from __future__ import annotations
 
@@ -36,21 +36,21 @@ from ahnn.training.checkpoint_io import AtomicCheckpointIO
 Factories = dict[str, Callable[..., Any]]
 
 DECISIVE = ("max_epochs", "gradient_clip_val", "gradient_clip_algorithm", "accumulate_grad_batches")
-"""What of the trainer changes the weights."""
+"""Trainer settings that affect the weights."""
 CHOOSING = ("callbacks.best.monitor", "callbacks.rollout.count", "callbacks.rollout.every")
-"""What chooses the best of them."""
+"""Settings that select the best weights."""
 
 
 def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] | None = None) -> Prepared:
-    """Build all that a training needs, and let the parts refuse each other.
+    """Build all parts of a training, and check their compatibility.
 
     Args:
-        cfg: one job.
-        source: of the trajectories; None takes the system of the configuration.
-        asked: overrides behind it; None takes those of the command line.
+        cfg: configuration of one job.
+        source: source of the trajectories; None for the system of the configuration.
+        asked: overrides of the configuration; None for those of the command line.
 
     Raises:
-        UserError: parts that do not go together, or an override that none of them reads.
+        UserError: incompatible parts, or an override without effect.
     """
     torch.set_num_threads(cfg.threads)
     seed_everything(cfg.seed, verbose=False)
@@ -85,11 +85,11 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
 
 
 def parts_of(cfg: DictConfig) -> dict[str, Part]:
-    """Return the nodes of a training that are built from their own keys and a few objects."""
+    """Return the nodes of a training to be built from their keys and a few objects."""
     data = {key: value for key, value in plain_config(cfg.data).items() if key not in (*SIMULATION, *SENSOR)}
     node = cfg.trainer.copy()
     if cfg.loss.get("stages") and node.accelerator == "auto":
-        node.accelerator = "cpu"  # where measurements are learned from
+        node.accelerator = "cpu"  # for training on measurements
     parts = {
         "data": Part(OmegaConf.create(data), WindowDataModule, ("source", "window", "sensor")),
         "model": Part(cfg.model, AbstractModel, ("dof", "inertia", "window", "controls", "angular")),
@@ -101,7 +101,7 @@ def parts_of(cfg: DictConfig) -> dict[str, Part]:
 
 
 def build_model(values: dict[str, Any], made: Factories, data: WindowDataModule) -> AbstractModel:
-    """Build the model, with its optimiser and what its checkpoints say of the training."""
+    """Build the model, with its optimiser and the metadata of its checkpoints."""
     space, source, scheduler = data.source.space, data.source, made.get("scheduler")
     given = {"dof": space.dof, "inertia": about_space(space)["inertia"], "controls": len(space.controls)}
     given |= {"angular": space.angular}
@@ -116,7 +116,7 @@ def build_trainer(made: Factories, folder: Path) -> Trainer:
     """Build the Lightning trainer with its callbacks and loggers.
 
     Raises:
-        UserError: several devices inside the process of a sweep, which the first job would not give back.
+        UserError: several devices within one process of a sweep, which the first job would not release.
     """
     callbacks, loggers = (
         [build_it() for name, build_it in made.items() if name.startswith(group)]
@@ -136,7 +136,7 @@ def build_trainer(made: Factories, folder: Path) -> Trainer:
 
 
 def settings_of(values: dict[str, Any]) -> dict[str, Any]:
-    """Return all that determines a training besides its data: what a resumed one must share."""
+    """Return the settings that determine a training besides its data, which a resumed one must share."""
     parts = {name: values[name] for name in ("model", "loss", "optimizer", "scheduler", "data")}
     parts["data"] = {key: value for key, value in parts["data"].items() if key not in SIMULATION}
     flat = flatten(values)
@@ -145,7 +145,7 @@ def settings_of(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def searched(values: dict[str, Any]) -> dict[str, Any]:
-    """Return what a search varies, for TensorBoard's comparison of runs."""
+    """Return the keys varied by a search, for TensorBoard's comparison of runs."""
     groups = {name: values[name] for name in ("model", "optimizer", "scheduler") if values[name]}
     amounts = {"window": values["window"], "batch_size": values["data"]["batch_size"]}
     return {**groups, **amounts, "epochs": values["trainer"]["max_epochs"], "seed": values["seed"]}

@@ -1,4 +1,4 @@
-"""What is asked of a finished run: its own configuration, and the few things that can be chosen again."""
+"""Configuration of a re-evaluation: that of the finished run, with few permitted changes."""
 
 from __future__ import annotations
 
@@ -24,18 +24,19 @@ OWN = ("run", "pretrained", "ckpt", "name")
 """Keys of `Own`."""
 GROUPS = ("plugins", "measurement")
 NODES = ("system", "data", "evaluation", "plugins", "measurement")
-"""Parts of a configuration that an evaluation builds from."""
+"""Parts of a configuration used by an evaluation."""
 KEYS = ("label", "threads")
 SINCE = {"bias_sd": None, "bias_memory": None}
-"""Keys of `measurement` that runs of version 0.2 do not have."""
+"""Keys of `measurement` missing in runs of version 0.2."""
 DATA = (*SIMULATION, "split", *SENSOR)
-"""Keys of `data` that say which trajectories there are and what measures them, not the training; they are
-kept where this user keeps his own, not where the run did."""
+"""Keys of `data` that define trajectories and sensor, not the training. The cache is that of the user,
+not that of the run.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Own:
-    """Keys of the command line that are no part of a configuration."""
+    """Keys of the command line outside the configuration."""
 
     run: str | None = None
     pretrained: str | None = None
@@ -44,13 +45,13 @@ class Own:
 
 
 class Request(NamedTuple):
-    """What a command line asks for.
+    """Request of a command line.
 
     Attributes:
-        source: run folder or name of a shipped model, what is loaded.
-        folder: where its evaluations are kept.
-        ckpt: the weights to evaluate.
-        name: of the evaluation, or None.
+        source: run folder or name of a shipped model.
+        folder: folder of its evaluations.
+        ckpt: weights to evaluate.
+        name: name of the evaluation, or None.
         overrides: key=value, in the order given.
         trust: whether to build whatever the run's configuration names.
     """
@@ -64,7 +65,7 @@ class Request(NamedTuple):
 
     @classmethod
     def of(cls, arguments: list[str], usage: str) -> Request:
-        """Return the request of a command line.
+        """Parse the request of a command line.
 
         Raises:
             UserError: neither a run nor a shipped model is named, or an argument is not key=value.
@@ -91,11 +92,11 @@ class Request(NamedTuple):
 
 
 def run_config(folder: Path, request: Request) -> DictConfig:
-    """Return the configuration of a run with what is chosen again.
+    """Return the configuration of a run with the requested changes.
 
     Raises:
-        UserError: it is missing or damaged, names what is not trusted, or an override has no effect or a
-            wrong value.
+        UserError: it is missing or damaged, names untrusted classes, or an override has no effect or a wrong
+            value.
     """
     path = folder / "config.yaml"
     content = read_plain(path)
@@ -117,10 +118,10 @@ def run_config(folder: Path, request: Request) -> DictConfig:
 
 
 def chosen_again(cfg: DictConfig, texts: list[str]) -> DictConfig:
-    """Return the configuration of a run with overrides, those of groups first.
+    """Return the configuration of a run with overrides, group options first.
 
     Raises:
-        UserError: an override is no key=value, names no option, or acts on no finished run.
+        UserError: an override is not key=value, names an unknown option, or has no effect on a finished run.
     """
     from ahnn.cli.commandline import pair
     from ahnn.cli.compose import composed

@@ -1,4 +1,4 @@
-"""From a command line to the report of runs."""
+"""Report command."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from ahnn.manifest import require_plain
 
 
 def report(arguments: list[str], usage: str) -> None:
-    """Write the report of the runs in some folders.
+    """Write the report of the runs in given folders.
 
     Raises:
-        UserError: no runs, an unknown key, or a folder of something else.
+        UserError: no runs, an unknown key, or a folder with other content.
     """
     given, pairs = divided(arguments)
     cfg = composed("report", pairs)

@@ -1,4 +1,4 @@
-"""The task of `python -m ahnn.reproduce`: the runs of a plan, each left or taken up where it stands."""
+"""Task of `python -m ahnn.reproduce`: the runs of a plan, each skipped if finished, or resumed."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ log = logging.getLogger("ahnn")
 
 
 def reproduce(arguments: list[str], usage: str) -> None:
-    """Train and evaluate what is not finished yet, and show the table of all.
+    """Train and evaluate unfinished runs, and show the complete table.
 
     Raises:
-        UserError: a command that makes no reproduction, or a folder with another one.
+        UserError: an invalid command, or a folder with another reproduction.
     """
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # makes Hydra raise, so that the messages are ours
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # makes Hydra raise, for our own messages
     made = plan(arguments, usage)
     require_same_settings(made)
     with importing():
@@ -39,15 +39,15 @@ def reproduce(arguments: list[str], usage: str) -> None:
     try:
         with ended(lambda: "the same command goes on where it was stopped"):
             start(one, "train")
-    finally:  # one that failed leaves the others their table
+    finally:  # after a failure the table of the others is still shown
         if made.finished():
             show(summary(made.folder, made.runs))
 
 
 def one(cfg: DictConfig) -> float:
-    """Train and evaluate one model with one seed, or what an interruption left of that.
+    """Train and evaluate one model with one seed, resuming after an interruption.
 
-    A run that is finished is kept, and one that another process works on is left to it.
+    Finished runs are kept, and runs locked by another process are skipped.
     """
     folder = Path(cfg.folder)
     begin(cfg)

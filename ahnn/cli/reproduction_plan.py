@@ -1,4 +1,4 @@
-"""The runs of a reproduction of the paper's tables: what they are, and what their folder holds already."""
+"""Plan of a reproduction of the paper's tables: runs and their state in the folder."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from ahnn.errors import UserError
 SYSTEMS = ("mass_spring", "molniya")
 BUDGETS = ("smoke", "laptop", "paper")
 ITS_OWN = ("sweep", "ckpt", "seeds", "folder", "label", "trial", "hydra.sweep.dir", "hydra.sweep.subdir")
-"""What the command itself decides, run by run."""
+"""Keys set by the command itself for each run."""
 MACHINE = {"run", "ckpt", "threads", "data.cache"}
 """Keys that may differ between two starts of one command."""
 SHARED = ("system", "data", "trainer", "scheduler", "plugins", "evaluation")
-"""Parts that all runs of a folder have in common, but for the seed of the batches."""
+"""Parts common to all runs of a folder, except for the seed of the batches."""
 
 
 class Plan(NamedTuple):
-    """What a command asks for.
+    """Plan of a command.
 
     Attributes:
-        folder: of the run folders.
-        overrides: of the sweep.
+        folder: parent of the run folders.
+        overrides: overrides of the sweep.
         runs: name of the run folder and configuration, in order.
-        steps: of the optimiser, the same in every run.
+        steps: number of optimiser steps, equal in every run.
     """
 
     folder: Path
@@ -40,11 +40,11 @@ class Plan(NamedTuple):
     steps: int
 
     def finished(self) -> list[str]:
-        """Return the names of the runs that are finished."""
+        """Return the names of finished runs."""
         return [name for name, cfg in self.runs.items() if is_finished(self.folder / name, cfg)]
 
     def announcement(self) -> str:
-        """Return what is going to happen, on one line."""
+        """Return a one-line announcement of the plan."""
         first = next(iter(self.runs.values()))
         done = len(self.finished())
         return (
@@ -55,11 +55,11 @@ class Plan(NamedTuple):
 
 
 def plan(arguments: list[str], usage: str) -> Plan:
-    """Return the runs of a command line.
+    """Build the plan of a command line.
 
     Raises:
-        UserError: no system or budget of the paper, what the command decides itself, runs that do not compose
-            or that differ in their steps.
+        UserError: a system or budget that is not in the paper, a key set by the command itself, or runs that
+            do not compose or differ in their steps.
     """
     given = {text.partition("=")[0]: text for text in arguments if parse(text)}
     if wrong := [key for key in given if key in ITS_OWN]:
@@ -76,9 +76,7 @@ def plan(arguments: list[str], usage: str) -> Plan:
     own = [f"sweep=reproduce_{values['budget']}", f"run='{folder}'"]
     overrides = [*(text for key, text in given.items() if key not in ("budget", "run")), *own]
     jobs = compose_sweep(overrides)
-    if all(
-        cfg.data.windows_per_epoch is None for cfg in jobs
-    ):  # W steps leave fewer windows the longer they are
+    if all(cfg.data.windows_per_epoch is None for cfg in jobs):  # longer windows are fewer
         overrides.append(f"data.windows_per_epoch={min(map(windows, jobs))}")
         jobs = compose_sweep(overrides)
     steps = sorted({steps_of(cfg) for cfg in jobs})
@@ -89,7 +87,7 @@ def plan(arguments: list[str], usage: str) -> Plan:
 
 
 def windows(cfg: DictConfig) -> int:
-    """Return how many training windows there are."""
+    """Return the number of training windows."""
     from ahnn.data.splits import split_sizes
 
     train = split_sizes(cfg.data.trajectories, list(cfg.data.split))[0]
@@ -104,13 +102,13 @@ def steps_of(cfg: DictConfig) -> int:
 
 
 def is_finished(folder: Path, cfg: DictConfig) -> bool:
-    """Return whether a run has all that its evaluation writes; predictions are the last of it."""
+    """Return whether a run has all files of its evaluation, of which predictions are written last."""
     names = ["metrics.json", *(["predictions.safetensors"] if cfg.evaluation.save_predictions else [])]
     return all((folder / name).is_file() for name in names)
 
 
 def require_same_settings(made: Plan) -> None:
-    """Check that the runs in a folder are of the same command, on whatever machine.
+    """Check that the runs in a folder are of the same command, on any machine.
 
     Raises:
         UserError: one of them has other settings.
@@ -119,7 +117,7 @@ def require_same_settings(made: Plan) -> None:
     for path in sorted(made.folder.glob("*/config.yaml")):
         found, cfg, loose = read_plain(path), made.runs.get(path.parent.name), MACHINE
         wanted = settings(cfg or first, str(found.get("folder")))
-        if cfg is None:  # a model or a seed that this command leaves out
+        if cfg is None:  # a model or a seed that this command omits
             found, wanted = ({key: whole.get(key) for key in SHARED} for whole in (found, wanted))
             loose = MACHINE | {"data.order_seed"}
         old, new = flatten(found), flatten(wanted)
@@ -134,7 +132,7 @@ def require_same_settings(made: Plan) -> None:
 
 
 def settings(cfg: DictConfig, folder: str) -> dict[str, Any]:
-    """Return what a training in a folder writes into its config.yaml."""
+    """Return the content of a training's config.yaml."""
     from ahnn.cli.build import stored
 
     own = cfg.copy()

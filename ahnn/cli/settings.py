@@ -1,4 +1,4 @@
-"""The keys of a configuration that no object takes as its argument, each with its type and limits."""
+"""Schemas of configuration keys that are not arguments of an object, with types and limits."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ahnn.errors import UserError
 
 @dataclass(frozen=True, kw_only=True)
 class Again:
-    """What a finished run takes besides its groups."""
+    """Settings of a finished run besides its groups."""
 
     label: Text
     threads: Annotated[int, Within(1, 1024)]
@@ -23,7 +23,7 @@ class Again:
 
 @dataclass(frozen=True, kw_only=True)
 class Splits:
-    """What of the data belongs to no object that measures or simulates."""
+    """Data settings outside sensor and simulation objects."""
 
     seed: Seed
     split: list[float]
@@ -31,7 +31,7 @@ class Splits:
 
 @dataclass(frozen=True, kw_only=True)
 class CommonSettings(Again):
-    """The top level beside the groups."""
+    """Top-level settings besides the groups."""
 
     seed: Seed
     window: Count
@@ -44,17 +44,17 @@ class CommonSettings(Again):
 
 @dataclass(frozen=True, kw_only=True)
 class Training:
-    """Arguments of the trainer that Lightning takes unseen."""
+    """Trainer arguments that Lightning does not validate."""
 
     max_epochs: Count
     accumulate_grad_batches: Count = 1
     check_val_every_n_epoch: Count = 1
-    fast_dev_run: Literal[False] = False  # it keeps no weights to judge
+    fast_dev_run: Literal[False] = False  # no weights to evaluate would be kept
 
 
 @dataclass(frozen=True, kw_only=True)
 class Evaluation:
-    """What happens after the fit."""
+    """Settings of the evaluation after training."""
 
     seed: Seed
     save_predictions: bool
@@ -63,12 +63,12 @@ class Evaluation:
 
 
 def check_again(cfg: DictConfig) -> None:
-    """Check what belongs to no object and is asked of finished runs too; raises as `check_settings`."""
+    """Check settings that also apply to finished runs; raises as `check_settings`."""
     check_keys(plain_config(cfg), {"": Again, "data": Splits, "evaluation": Evaluation})
 
 
 def check_settings(cfg: DictConfig) -> None:
-    """Check what belongs to no object, before anything is built.
+    """Check settings outside objects, before anything is built.
 
     Raises:
         UserError: a wrong type, an impossible value, or one that contradicts the chosen model.
@@ -85,7 +85,7 @@ def check_settings(cfg: DictConfig) -> None:
         message = f"seeds: expected different ones; received {seeds}"
         raise UserError(message)
     received = flatten(values)
-    for key, value in flatten(values.get("required") or {}).items():  # what the choice of a model implies
+    for key, value in flatten(values.get("required") or {}).items():  # consequences of the chosen model
         if received.get(key) != value:
             message = (
                 f"{key}: expected {value} with model {cfg.label}; received {received.get(key)}. "
@@ -95,7 +95,7 @@ def check_settings(cfg: DictConfig) -> None:
 
 
 def check_keys(values: dict[str, Any], schemas: dict[str, type]) -> None:
-    """Check the keys of some nodes that belong to a schema, where others belong to somebody else."""
+    """Check the keys of nodes that belong to a schema, ignoring those with other owners."""
     for who, schema in schemas.items():
         node = values[who] if who else values
         if not isinstance(node, dict):

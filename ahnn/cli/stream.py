@@ -1,4 +1,4 @@
-"""What an assimilation is told by conf/assimilate.yaml, and what is built from that and the run."""
+"""Assimilation command: options of conf/assimilate.yaml and construction of the stream."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ from ahnn.types import Space
 BIAS = re.compile(r"^(?=sensors\.[^.=]+\.bias_(sd|memory)=)")
 """Keys of a sensor that options of the group measurement do not set."""
 FILTER, OF_MEASUREMENTS = "plugins=ukf", "plugins=ukf_parameter_error"
-"""What filters where a run names no plugin; the second where the training kept what it is told least."""
+"""Default filters of a run without plugin; the second if least observable parameters were saved."""
 
 
 def read_stream(arguments: list[str], usage: str) -> Stream:
-    """Return the stream that a command line asks for.
+    """Build the stream requested on the command line.
 
     Raises:
-        UserError: no such run, places where something else is, or options that do not go together.
+        UserError: a missing run, occupied output paths, or incompatible options.
     """
     if any(text.startswith("orbit=") for text in arguments):
         return read_following(arguments, usage)
@@ -80,10 +80,10 @@ def require_own_keys(options: AssimilationRequest, nodes: DictConfig) -> None:
 
 
 def asked(arguments: list[str], usage: str) -> tuple[AssimilationRequest, DictConfig, Request]:
-    """Return the options of a command line, the nodes of its sensors, and what it asks of the run.
+    """Return the options of a command line, the nodes of its sensors, and its request for the run.
 
     Raises:
-        UserError: no run, an unknown key, or a value of another type.
+        UserError: no run, an unknown key, or a value of the wrong type.
     """
     given = ["watch=true" if argument == "--watch" else argument for argument in arguments]
     own = composed("assimilate", [])
@@ -100,7 +100,7 @@ def asked(arguments: list[str], usage: str) -> tuple[AssimilationRequest, DictCo
 
 
 def with_filter(request: Request, run: Run) -> Request:
-    """Return a request that names a filter where neither it nor the run does."""
+    """Add a default filter to a request if neither it nor the run names one."""
     if run.config.get("plugins") or any(text.startswith("plugins=") for text in request.overrides):
         return request
     told = run.uncertainty is not None and run.uncertainty.least_observable is not None
@@ -110,7 +110,7 @@ def with_filter(request: Request, run: Run) -> Request:
 
 
 def _key(text: str) -> str:
-    """Return the top level of a key; of a group that is put under sensors, that."""
+    """Return the top level of a key, or sensors for a group placed there."""
     key = text.partition("=")[0].lstrip("+~")
     return (key.partition("@")[2] or key).partition(".")[0]
 
@@ -118,10 +118,10 @@ def _key(text: str) -> str:
 def build_sensors(
     nodes: DictConfig, cfg: DictConfig, run: Run, truth: Callable[[], System | None]
 ) -> dict[str, StreamSensor]:
-    """Build the sensors of a stream; the one of the run's group `measurement` where none are named.
+    """Build the sensors of a stream; by default that of the run's group `measurement`.
 
     Raises:
-        UserError: no model, or standard deviations that do not fit.
+        UserError: no model, or incompatible standard deviations.
     """
     made = {}
     for name, node in (nodes or OmegaConf.create({"": cfg.measurement})).items():
@@ -158,7 +158,7 @@ def stations_of_file(file: str, space: Space, clock: StreamClock) -> dict[str, S
 
 
 def _numbers(given: Any) -> Any:
-    """Return what a node holds, lists as those of Python."""
+    """Return the content of a node, with Python lists."""
     return OmegaConf.to_container(given) if isinstance(given, ListConfig | DictConfig) else given
 
 
@@ -166,7 +166,7 @@ def build_process(cfg: DictConfig, run: Run, case: Callable[[], Case], gate: Ask
     """Build the online process of the one plugin that has one, with a gate that opens again.
 
     Raises:
-        UserError: none has, or several.
+        UserError: no plugin does, or several do.
     """
     plugins = build_all(cfg.plugins, "plugins", EvaluationPlugin)
     online = {name: plugin for name, plugin in plugins.items() if hasattr(plugin, "online")}
@@ -182,10 +182,10 @@ def build_process(cfg: DictConfig, run: Run, case: Callable[[], Case], gate: Ask
 
 
 def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictConfig, run: Run) -> Stream:
-    """Build the filter of a stream; data are only made where a process noise is fitted to them.
+    """Build the filter of a stream; data are generated only for fits of process noise.
 
     Raises:
-        UserError: what is built from the options does not fit the run.
+        UserError: options incompatible with the run.
     """
     source = cache(lambda: build_source(cfg))
     named = Reference(asked.frame or "", asked.center or "", (asked.time_system or "").upper())
@@ -245,10 +245,10 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
 
 
 def require_angles(nodes: Any, clock: StreamClock) -> None:
-    """Refuse ground stations that do not say where the Earth stood at an epoch of time zero.
+    """Reject ground stations without the Earth's rotation angle at a known epoch of time zero.
 
     Raises:
-        UserError: names the key, and the rotation angle of that epoch.
+        UserError: a missing angle; the message names the key and the value for that epoch.
     """
     if clock.zero is None:
         return
@@ -266,7 +266,7 @@ def require_angles(nodes: Any, clock: StreamClock) -> None:
 
 
 def models_of(node: Any, key: str) -> Iterator[tuple[str, Any]]:
-    """Yield the nodes of measurement models, those of several too, with their keys."""
+    """Yield the nodes of measurement models, including nested ones, with their keys."""
     if isinstance(node, DictConfig):
         yield key, node
         for k, one in enumerate(node.get("models") or ()):

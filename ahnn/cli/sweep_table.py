@@ -1,4 +1,4 @@
-"""What Hydra calls at the start of a job, and after the last one of a multirun."""
+"""Hydra callback that tabulates the results of a multirun."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ FILE = "multirun.yaml"
 
 
 class SweepTable(Callback):
-    """Collects the results in every job folder of the sweep."""
+    """Collects the results of all job folders of a sweep."""
 
     def on_job_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Record the file that Hydra wrote by itself before the first job."""
+        """Record the file written by Hydra before the first job."""
         del kwargs
         file = Path(config.hydra.sweep.dir) / FILE
         if config.hydra.mode == RunMode.MULTIRUN and file.is_file():
             record(file, digest_of(file.read_bytes()))
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Print the table, jobs in order, a job without results marked; folders with names have another."""
+        """Print the table in job order, marking jobs without results; named folders have their own table."""
         del kwargs
         from ahnn.evaluation.sweep_summary import sweep_table
         from ahnn.evaluation.terminal import show

@@ -1,4 +1,4 @@
-"""The task of `python -m ahnn.train`: one training with its evaluation, or one for each of several seeds."""
+"""Task of `python -m ahnn.train`: training with evaluation, for one or several seeds."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def train(cfg: DictConfig) -> float:
     """Train with one seed or with several; return the mean of the best validation losses.
 
-    Several `seeds` train in folders of their own, seed_7 and so on, inside the run folder.
+    Several `seeds` have separate folders, seed_7 and so on, inside the run folder.
     """
     begin(cfg)
     parts = [of_seed(cfg, seed) for seed in cfg.seeds] if cfg.seeds else [cfg]
@@ -30,9 +30,9 @@ def train(cfg: DictConfig) -> float:
         require_new(Path(part.folder), part.ckpt)
     losses = [train_once(part) for part in parts]
     from ahnn.cli.parts import is_multirun
-    from ahnn.jobs.closing import require_converged  # heavy, as the trainings before it
+    from ahnn.jobs.closing import require_converged  # imported late, like the trainings before it
 
-    if not is_multirun():  # there each job has its scores, and a search goes by the losses
+    if not is_multirun():  # in a sweep each job has its scores, and a search uses the losses
         require_converged([Path(part.folder) for part in parts])
     return sum(losses) / len(losses)
 
@@ -45,10 +45,10 @@ def of_seed(cfg: DictConfig, seed: int) -> DictConfig:
 
 
 def check(cfg: DictConfig) -> None:
-    """Refuse what a training refuses before it generates data; a sweep asks once, before its first trial.
+    """Make all checks of a training before data generation; called once before the first trial of a sweep.
 
     Raises:
-        UserError: a job that cannot work.
+        UserError: an invalid job.
     """
     begin(cfg)
     with held():
@@ -57,18 +57,18 @@ def check(cfg: DictConfig) -> None:
         prepare(of_seed(cfg, cfg.seeds[0]) if cfg.seeds else cfg)
 
 
-train.check = check  # pyright: ignore[reportFunctionMemberAccess] - all that reaches a sweeper is this function
+train.check = check  # pyright: ignore[reportFunctionMemberAccess] - the sweeper receives only this function
 
 
 def train_once(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] | None = None) -> float:
     """Run one training and its evaluation; return the best validation loss, the objective of a search.
 
-    Of several devices the first evaluates and writes; the other processes return NaN, which nobody reads.
+    With several devices the first evaluates and writes; the other processes return NaN, which is ignored.
 
     Args:
-        cfg: one job.
-        source: of the trajectories; None takes the system of the configuration.
-        asked: overrides behind it; None takes those of the command line.
+        cfg: configuration of one job.
+        source: source of the trajectories; None for the system of the configuration.
+        asked: overrides of the configuration; None for those of the command line.
     """
     with held():
         from ahnn.cli.prepare import prepare
@@ -76,7 +76,7 @@ def train_once(cfg: DictConfig, source: Source | None = None, asked: Sequence[st
 
         prepared = prepare(cfg, source, asked)
     folder, trainer = prepared.folder, prepared.trainer
-    prepared.data.train_dataloader()  # the last that may be refused: from here on files are written
+    prepared.data.train_dataloader()  # last check: files are written from here on
 
     require_writable(folder)
     with claimed(folder) if trainer.is_global_zero else nullcontext():
@@ -91,7 +91,7 @@ def train_once(cfg: DictConfig, source: Source | None = None, asked: Sequence[st
 
 
 def go_on(cfg: DictConfig) -> str:
-    """Return how to resume a training that was stopped."""
+    """Return the command that resumes a stopped training."""
     from ahnn.cli.parts import is_multirun
 
     if cfg.get("trial") is not None:

@@ -1,8 +1,8 @@
-"""Configurations from elsewhere are data: what a run folder may have built, and nothing else.
+"""Trust rules for foreign configurations: classes that a run folder may build.
 
 A run folder is shared between people, so its config.yaml could name any importable callable. Only classes of
-this library are built, and those of installed packages that declare themselves in the entry-point group
-`ahnn.trusted`. Everything else needs the word of the user, `--trust`.
+this library are built, and those of installed packages that are declared in the entry-point group
+`ahnn.trusted`. Everything else requires the user's consent, `--trust`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from hydra.utils import get_object
 from ahnn.errors import UserError
 
 LINK = re.compile(r"\$\{measurement(\.\w+)+\}")
-"""The one interpolation that we store: what a plugin takes from the group `measurement`."""
+"""The only stored interpolation: references of a plugin to the group `measurement`."""
 MEASURES = (("locate", "__call__"), ("residual", "__call__"))
 NEEDED = {
     "system": (("energy", "initial_states"), ("recipe", "steps", "read")),
@@ -27,11 +27,11 @@ NEEDED = {
     "measurement": MEASURES,
     "data": MEASURES,
 }
-"""What a class must have to be built for a node: all of one row or of another."""
+"""Attributes required of a class to be built for a node: all of one row."""
 
 
 def require_trusted(path: Path, content: dict[str, Any], nodes: tuple[str, ...]) -> None:
-    """Check everything that some nodes of a configuration would have built or looked up.
+    """Check all targets and interpolations of configuration nodes.
 
     Raises:
         UserError: a target that is not trusted, or an interpolation that reads more than the configuration.
@@ -39,8 +39,8 @@ def require_trusted(path: Path, content: dict[str, Any], nodes: tuple[str, ...])
     suspicious = []
     for node in nodes:
         for name, value in flat(content.get(node), node):
-            role = "system" if name.endswith(".beside._target_") else node  # beside the model of a plugin
-            inner = node == "system" and name.count(".") > 1  # a system is made of plain values
+            role = "system" if name.endswith(".beside._target_") else node  # besides the model of a plugin
+            inner = node == "system" and name.count(".") > 1  # a system consists of plain values
             if (
                 (isinstance(value, str) and "${" in value and not LINK.fullmatch(value))
                 or (isinstance(value, str) and not value.isprintable())
@@ -64,7 +64,7 @@ def is_trusted(target: Any, node: str) -> bool:
         return False
     try:
         found = get_object(target)
-    except Exception:  # whatever the import says: it is not what it should be
+    except Exception:  # any import failure means that it is not trusted
         return False
     if not inspect.isclass(found) or found.__module__.partition(".")[0] not in packages:
         return False
@@ -85,5 +85,5 @@ def flat(value: Any, name: str) -> Iterator[tuple[str, Any]]:
 
 
 def targets(value: Any) -> Iterator[Any]:
-    """Yield what nested values name to be built."""
+    """Yield the targets in nested values."""
     return (leaf for name, leaf in flat(value, "") if name.endswith("._target_"))

@@ -1,4 +1,4 @@
-"""Keys of a command line that the parts of a training leave unread: they are refused, and never dropped."""
+"""Rejection of command line keys that no part of a training reads."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ SIMULATED = (
     "seed",
     "beside",
 )
-"""Keys of filters for evaluations alone, and for measurements that are simulated to fit a process noise."""
+"""Filter keys for evaluations only, and for simulated measurements in fits of process noise."""
 Unread = Iterator[tuple[str, str]]
-"""Keys, and why they are not read."""
+"""Keys, with the reason why they are not read."""
 
 
 def require_read(cfg: DictConfig, prepared: Prepared, texts: Iterable[str] | None = None) -> None:
-    """Refuse overrides that none of the parts of a training reads.
+    """Reject overrides that no part of a training reads.
 
     Args:
-        cfg: of the training.
-        prepared: built from it.
-        texts: overrides; None takes those of the command line.
+        cfg: configuration of the training.
+        prepared: training built from it.
+        texts: overrides; None for those of the command line.
 
     Raises:
-        UserError: one without effect.
+        UserError: an override without effect.
     """
     if texts is None:
         texts = HydraConfig.get().overrides.task if HydraConfig.initialized() else ()
@@ -58,7 +58,7 @@ def require_read(cfg: DictConfig, prepared: Prepared, texts: Iterable[str] | Non
 
 
 def refuse(found: Iterable[tuple[str, str]], texts: Iterable[str]) -> None:
-    """Refuse overrides of keys that are not read, or warn in a sweep, whose other jobs may read them."""
+    """Reject overrides of unread keys, or warn in a sweep, whose other jobs may read them."""
     keys = keys_of(texts)
     for name, reason in found:
         for key in keys:
@@ -82,7 +82,7 @@ def unread_of_data(cfg: DictConfig, source: Source, sensor: Sensor | None) -> Un
 
 
 def unread_of_training(cfg: DictConfig, prepared: Prepared, *, several: bool) -> Unread:
-    """Yield the keys that model, optimiser and trainer leave unread; `several` seeds are named."""
+    """Yield the keys that model, optimiser and trainer leave unread; `several` for several seeds."""
     automatic, staged = prepared.model.stepper.automatic, prepared.data.stages is not None
     rolled = OmegaConf.select(cfg, "callbacks.rollout.count") != 0
     clipped = bool(cfg.trainer.get("gradient_clip_val"))
@@ -104,12 +104,12 @@ def unread_of_training(cfg: DictConfig, prepared: Prepared, *, several: bool) ->
 
 
 def of_plugins(nodes: DictConfig) -> Iterator[tuple[str, DictConfig]]:
-    """Yield name and options of each plugin; what is none is refused where it is built."""
+    """Yield name and options of each plugin; invalid ones are rejected on construction."""
     yield from ((str(name), node) for name, node in nodes.items() if isinstance(node, DictConfig))
 
 
 def unread_of_plugins(nodes: DictConfig) -> Unread:
-    """Yield the keys of filters that another of their keys leaves unread."""
+    """Yield filter keys made ineffective by another key."""
     for name, options in of_plugins(nodes):
         yield from unless(
             (f"plugins.{name}.patience", options.get("gate", 0) is not None, "gate=null refuses nothing"),
@@ -121,9 +121,9 @@ def unread_online(nodes: DictConfig, *, covariance: bool, named: bool = False) -
     """Yield the keys that a stream leaves unread.
 
     Args:
-        nodes: the filters.
-        covariance: whether that of the weights is known.
-        named: whether the sensors are, in place of the one of the run.
+        nodes: filter nodes.
+        covariance: whether the covariance of the weights is known.
+        named: whether sensors are named, instead of that of the run.
     """
     yield from (found for found in unread_of_plugins(nodes) if not found[0].endswith(".patience"))
     noises = [options.get("process_noise") for _, options in of_plugins(nodes)]
@@ -139,12 +139,12 @@ def unread_online(nodes: DictConfig, *, covariance: bool, named: bool = False) -
 
 
 def _is_fitted(noise: Any, *, covariance: bool) -> bool:
-    """Return whether a process noise is found from data."""
+    """Return whether a process noise is fitted to data."""
     if isinstance(noise, DictConfig):
         return noise.get("size") is None or noise.get("memory") is None
     return isinstance(noise, str) and not (covariance and noise == "parameter_error")
 
 
 def unless(*rows: tuple[str, bool, str]) -> Unread:
-    """Yield the keys of rows that are not read, with the reason."""
+    """Yield the unread keys of rows, with the reason."""
     yield from ((name, reason) for name, is_read, reason in rows if not is_read)

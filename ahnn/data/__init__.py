@@ -1,6 +1,6 @@
-"""From a source to batches: generation, storage, splits and sliding windows.
+"""Data pipeline: sources, generation, storage, splits and sliding windows.
 
-`WindowDataModule` alone needs Lightning, and is imported from its own module.
+Only `WindowDataModule` requires Lightning, so it is imported from its own module.
 """
 
 from __future__ import annotations

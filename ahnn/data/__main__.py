@@ -1,10 +1,10 @@
-"""Look data over before anything is learned from them: `python -m ahnn.data check PATH...`.
+"""Check data before training or orbit determination: `python -m ahnn.data check PATH...`.
 
-PATH...        files as system=files reads them, docs/data.md, or of tracking, docs/tracking.md
-figures=DIR    draw them, with what was found, into a folder as PNG and SVG
-mass=M         and gap, frame, step, duration: the keys of system=files
+PATH...        data files for system=files, docs/data.md, or tracking files, docs/tracking.md
+figures=DIR    plot data and findings into a folder as PNG and SVG
+mass=M         also gap, frame, step, duration: options of system=files
 
-It ends with 2 where something would spoil a training or an orbit, and with 0 where nothing would.
+The exit code is 2 if a finding would spoil a training or an orbit, and 0 otherwise.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ USAGE = "usage: python -m ahnn.data check PATH... [figures=DIR] [mass=M] [gap=10
 
 
 def check(arguments: list[str]) -> None:
-    """Check the files that a command line names; raises as `cli.data_files` and `jobs.checking`."""
+    """Check the files named on the command line; raises as `cli.data_files` and `jobs.checking`."""
     with importing():
         from ahnn.cli.data_files import read_check
         from ahnn.jobs import checking

@@ -1,4 +1,4 @@
-"""The one DataModule that all models share: trajectories in, batches of windows out."""
+"""DataModule of all models: batches of windows from trajectories."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from ahnn.statistics import Statistics
 from ahnn.types import Trajectories
 
 EXACT = 20_000
-"""About so many exact states are examples of the training split."""
+"""Approximate number of exact states used as examples of the training split."""
 
 
 class Stages(Protocol):
-    """Stretches of measurements that grow from stage to stage."""
+    """Segments of measurements that grow from stage to stage."""
 
     def intervals(self, epoch: int, epochs: int) -> int | None:
-        """Return the intervals of a stretch in an epoch of so many; None takes whole trajectories."""
+        """Return the intervals per segment in an epoch of a training; None for whole trajectories."""
         ...
 
     def stretches(self, epoch: int, epochs: int) -> int | None:
-        """Return the stretches of a step in an epoch of so many; None takes `data.batch_size`."""
+        """Return the segments per step in an epoch of a training; None for `data.batch_size`."""
         ...
 
 
@@ -46,17 +46,18 @@ class WindowDataModule(LightningDataModule):
     """Sliding windows of whole trajectories, split by trajectory.
 
     Args:
-        source: where the trajectories come from.
+        source: source of the trajectories.
         split: fractions of train, val and test.
-        window: W, steps of a window.
-        batch_size: windows of an optimiser step.
-        windows_per_epoch: windows drawn in each epoch, others each time; None takes all.
-        emphasis: 0 draws training windows alike; above, up to 4, in proportion to this power of the speed at
-            which their momenta change. On eccentric orbits most samples lie where little happens.
-        val_windows: evenly spread windows of a validation; None takes all.
-        precision: 32 or 64, bits of the batches.
-        order_seed: of the order of the batches.
-        sensor: what training sees of the trajectories; None sees the states themselves.
+        window: number W of steps per window.
+        batch_size: windows per optimiser step.
+        windows_per_epoch: windows drawn per epoch, different each time; None for all.
+        emphasis: 0 for uniform sampling of training windows; values up to 4 sample in proportion to this
+            power of the rate of momentum change. On eccentric orbits most samples lie far from perigee, where
+            little happens.
+        val_windows: number of evenly spread validation windows; None for all.
+        precision: 32 or 64 bits for the batches.
+        order_seed: seed of the batch order.
+        sensor: sensor of the training data; None for exact states.
     """
 
     def __init__(
@@ -87,14 +88,14 @@ class WindowDataModule(LightningDataModule):
         self.emphasis, self.order_seed = emphasis, order_seed
 
     def require_span(self, steps: int, clock: int = 0) -> None:
-        """Let training windows span at least so many steps, for derivatives need more than W.
+        """Require training windows of a minimum length, since derivatives may need more than W steps.
 
         Args:
-            steps: of a window, at least.
-            clock: clock coordinates of their states, as the dynamics want them.
+            steps: minimum number of steps per window.
+            clock: number of clock coordinates required by the dynamics.
 
         Raises:
-            UserError: the trajectories, as far as their length is known before they are made, are shorter.
+            UserError: the trajectories, if their length is known in advance, are shorter.
         """
         self.span, self.clock = max(self.window, steps), clock
         truth: Any = self.source.truth
@@ -102,31 +103,31 @@ class WindowDataModule(LightningDataModule):
             require_span(self.span, truth.steps)
 
     def trajectories(self, split: Split) -> Trajectories:
-        """Return the whole trajectories of a split, measured states in the place of true ones."""
+        """Return the whole trajectories of a split, with measured instead of true states if applicable."""
         return self.splits[split] if self.sensor is None else Trajectories(*self.measured(split))
 
     def measured(self, split: Split) -> Observations:
-        """Return what the sensor saw of a split, for a training on measurements."""
+        """Return the measurements of a split, for training on measurements."""
         return self.splits.measured(split)
 
     @cached_property
     def smooth(self) -> Local:
-        """Polynomials at some of the training measurements, which scalings and widths are read off."""
+        """Local polynomials at some training measurements, from which scalings and widths are derived."""
         return smoothed(self.splits.instrument(), *self.measured("train"), EXAMPLES)
 
     @cached_property
     def instrument(self) -> Instrument:
-        """What gave the measurements, with how smooth the motion is beside their noise."""
+        """Instrument of the measurements, with the smoothness of the motion relative to their noise."""
         return self.splits.instrument()._replace(width=self.smooth.width)
 
     def statistics(self) -> Statistics:
-        """Return the statistics of the training split, float64, measurements smoothed."""
+        """Return the statistics of the training split, float64, from smoothed measurements."""
         if self.sensor is None:
             return Statistics.of(self.trajectories("train"))
         return measured_statistics(self.smooth, self.instrument, self.measured("train"))
 
     def examples(self) -> Tensor:
-        """Return training states (M, D) float64, measurements smoothed."""
+        """Return training states (M, D) float64, smoothed if measured."""
         if self.sensor is None:
             some = self.trajectories("train").spread()
             states = some.states[some.present]
@@ -134,7 +135,7 @@ class WindowDataModule(LightningDataModule):
         return as_states(self.smooth.value, self.smooth.rate, self.instrument)
 
     def remark(self) -> str | None:
-        """Return what the user should know of the noise of the training data, or None."""
+        """Return a remark for the user on the noise of the training data, or None."""
         if self.sensor is None:
             some = self.trajectories("train").spread()
             return remark_on(some.states, some.times, self.source.space.components, None)
@@ -144,14 +145,14 @@ class WindowDataModule(LightningDataModule):
         return remark_on(*self.measured("train"), self.sensor.measurement.names, stated)
 
     def feed(self, trainer: Trainer) -> None:
-        """Gather batches where a trainer takes its steps, before it asks for any."""
+        """Place batch gathering on the trainer's device, before the first batch is requested."""
         self.trainer = trainer
 
     def follow(self, stages: Stages, epochs: int) -> None:
-        """Hand out stretches of measurements that grow over so many epochs, in place of windows.
+        """Provide growing segments of measurements over the epochs of a training, instead of windows.
 
         Raises:
-            UserError: no measurements, or windows that are to be drawn by speed.
+            UserError: no measurements, or sampling by speed requested.
         """
         if self.sensor is None:
             message = (
@@ -180,11 +181,11 @@ class WindowDataModule(LightningDataModule):
         return SegmentLoader(lambda _: (segments, len(segments)), 0, 0)
 
     def whole(self, split: Split) -> Segment:
-        """Return all measurements of a split, a stretch for each trajectory."""
+        """Return all measurements of a split, one segment per trajectory."""
         return whole(self.measured(split), self.instrument)
 
     def _stage(self, epoch: int) -> tuple[Segments, int]:
-        """Return the stretches of an epoch, and how many a step takes."""
+        """Return the segments of an epoch, and their number per step."""
         assert self.stages is not None
         intervals = self.stages.intervals(epoch, self.epochs)
         if intervals not in self._cut:
@@ -194,7 +195,7 @@ class WindowDataModule(LightningDataModule):
         return segments, asked if intervals is None else min(asked, segments.covering)
 
     def transfer_batch_to_device(self, batch: Any, device: torch.device, dataloader_idx: int) -> Any:
-        """Return the batch as it is: windows are gathered on the device."""
+        """Return the batch unchanged: windows are gathered on the device."""
         del device, dataloader_idx
         return batch
 

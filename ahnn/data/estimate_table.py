@@ -1,4 +1,4 @@
-"""What an assimilation writes: names of its columns, its rows, and its last estimate."""
+"""Reading of assimilation output: column names, rows, and the last estimate."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FIRST = ("line", "time", "sensor", "outcome", "replayed", "nis", "dof")
 
 
 class Last(NamedTuple):
-    """The last estimate: time, mean (D,), covariance (D, D), and what they refer to."""
+    """The last estimate: time, mean (D,), covariance (D, D), and their reference."""
 
     time: float
     mean: Tensor
@@ -51,16 +51,16 @@ def rows_of(path: Path) -> Iterator[dict[str, Any]]:
 
 
 def last_estimate(path: Path, space: Space) -> Last:
-    """Return the last estimate in an output, in the units of a space.
+    """Read the last estimate of an output, in the units of a space.
 
     Raises:
-        UserError: there is none, or it is of another space.
+        UserError: there is no estimate, or it belongs to another space.
     """
     names, scales, row = track_names(space), space.scales, {}
     lower = [(i, j) for i in range(len(names)) for j in range(i + 1)]
     covariance = torch.zeros(len(names), len(names), dtype=torch.float64)
     try:
-        for row in rows_of(path):  # noqa: B007 - the last one counts
+        for row in rows_of(path):  # noqa: B007 - only the last one is used
             pass
         if names[-1] not in row:  # before 0.3 velocities were written as momenta
             names, scales = space.components, torch.ones_like(scales)

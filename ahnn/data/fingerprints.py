@@ -1,4 +1,4 @@
-"""Fingerprints of trajectories by their content: whether a test asks for what a training has seen."""
+"""Content fingerprints of trajectories, to detect test data that were used in training."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from torch import Tensor
 from ahnn.types import Trajectories
 
 SAMPLES = 4
-"""Consecutive samples that make a fingerprint: single states recur, as at rest."""
+"""Number of consecutive samples in a fingerprint: single states recur, for example at rest."""
 KEPT = 10_000
-"""Trajectories that a training remembers, at most."""
+"""Maximum number of trajectories recorded for a training."""
 MIXED = 0x2545F4914F6CDD1D
-"""An odd factor with bits all over (Steele & Vigna 2022, Softw. Pract. Exp. 52, 443)."""
+"""Odd multiplier with well distributed bits (Steele & Vigna 2022, Softw. Pract. Exp. 52, 443)."""
 NONE = torch.iinfo(torch.int64).max
 
 
 def fingerprints(trajectories: Trajectories) -> Tensor:
-    """Return 64 bits of every few states in a row, whatever their times, (B, K); NONE where one is absent."""
+    """Return 64-bit hashes of consecutive states, independent of time, (B, K); NONE for missing states."""
     states = trajectories.states
     there = states.isfinite().any(-1)
-    bits = (states.nan_to_num(0.0) + 0.0).contiguous().view(torch.int64)  # -0.0 is 0.0
+    bits = (states.nan_to_num(0.0) + 0.0).contiguous().view(torch.int64)  # maps -0.0 to 0.0
     of_state = (_mixed(bits) * _odd(states.shape[-1])).sum(-1)
     span = min(SAMPLES, states.shape[1])
     of_span = _mixed((of_state.unfold(1, span, 1) * _odd(span)).sum(-1))
@@ -30,25 +30,25 @@ def fingerprints(trajectories: Trajectories) -> Tensor:
 
 
 def remembered(trajectories: Trajectories) -> list[int]:
-    """Return the least fingerprint of each trajectory: a cut made elsewhere mostly holds it, too."""
+    """Return the minimum fingerprint of each trajectory, which most differently cut versions also contain."""
     least = torch.cat([fingerprints(part).amin(1) for part in trajectories.parts()])
     least = least[least != NONE]
     return least[:: -(-len(least) // KEPT) or 1].tolist()
 
 
 def recognised(trajectories: Trajectories, known: Sequence[int]) -> int:
-    """Return how many trajectories hold samples of those that are remembered."""
+    """Return the number of trajectories that contain recorded samples."""
     wanted = torch.tensor(known, dtype=torch.int64)
     found = [torch.isin(fingerprints(part), wanted).any(1).sum() for part in trajectories.parts()]
     return int(sum(found))
 
 
 def _mixed(bits: Tensor) -> Tensor:
-    """Return integers, (...), each spread over all 64 bits."""
+    """Mix the bits of integers, (...), over all 64 bits."""
     bits = (bits ^ (bits >> 32)) * MIXED
     return (bits ^ (bits >> 29)) * MIXED
 
 
 def _odd(count: int) -> Tensor:
-    """Return different odd factors, (count,), for the places of a sum."""
+    """Return distinct odd multipliers, (count,), for the terms of a sum."""
     return _mixed(torch.arange(1, count + 1)) | 1

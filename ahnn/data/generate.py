@@ -1,4 +1,4 @@
-"""Ground truth: trajectories of a system in float64, by its exact flow, part by part."""
+"""Generation of true trajectories in float64 by the exact flow of a system, part by part."""
 
 from __future__ import annotations
 
@@ -27,13 +27,14 @@ def generate(system: System, count: int, seed: int) -> Trajectories:
 
 @torch.no_grad()
 def generated(system: System, count: int, seed: int) -> Iterator[Trajectories]:
-    """Yield `count` trajectories from initial states drawn with `seed`, so many at once as a part holds.
+    """Yield `count` trajectories from initial states drawn with `seed`, in parts of limited size.
 
-    All have the length of the longest one; the states beyond the end of a shorter one are NaN. No trajectory
-    depends on the others of its part.
+    All are padded with NaN to the length of the longest one. Each trajectory is independent of the others in
+    its part.
 
     Raises:
-        UserError: the trajectories are too long to be kept, do not stay finite, or cannot be made accurate.
+        UserError: the trajectories are too long to be stored, become non-finite, or cannot be computed
+            accurately.
     """
     generator = torch.Generator().manual_seed(seed)
     x = system.initial_states(count, generator)
@@ -64,7 +65,7 @@ def generated(system: System, count: int, seed: int) -> Iterator[Trajectories]:
 
 
 def longest_of(system: System, steps: Tensor) -> int:
-    """Return the longest of durations (B,); raises UserError where one of them is none."""
+    """Return the longest of durations (B,); raises UserError for invalid durations."""
     if int(steps.min()) < 1:
         message = (
             f"system {system.name}: expected trajectories of at least one step; received durations that are "
@@ -75,13 +76,13 @@ def longest_of(system: System, steps: Tensor) -> int:
 
 
 def require_finite(system: System, states: Tensor, ends: Tensor, before: int) -> None:
-    """Check trajectories (B, T, D), `before` others, up to the steps (B,) where they end.
+    """Check that trajectories (B, T, D), preceded by `before` others, are finite up to their ends (B,).
 
     Raises:
-        UserError: a state is not finite; nothing could be learned from it, nor scored.
+        UserError: a state is not finite, so that it can neither be learned nor scored.
     """
     if bool(states[torch.arange(len(states)), ends].isfinite().all()):
-        return  # what is not finite once stays so
+        return  # non-finite states stay non-finite
     wrong = ~states.isfinite().all(-1) & (torch.arange(states.shape[1]) <= ends.unsqueeze(-1))
     b, k = (int(n) for n in wrong.nonzero()[0])
     lost = f"{int(wrong.any(-1).sum())} of {len(states)} trajectories"

@@ -1,4 +1,4 @@
-"""Trajectories that a user brings in Python: what they must be, and their content as that of a file."""
+"""Validation of trajectories passed from Python, and their conversion to file content."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ahnn.types import Space, Trajectories, Units
 
 
 def check_space(space: Space) -> None:
-    """Raise UserError for names, units or an inertia that mean nothing."""
+    """Raise UserError for names, units or an inertia that are invalid."""
     if not isinstance(space, Space):
         message = f"space: expected ahnn.Space(name, components); received {described(space)}"
         raise UserError(message)
@@ -49,11 +49,10 @@ def check_space(space: Space) -> None:
 
 
 def check_trajectories(given: Trajectories, space: Space) -> Trajectories:
-    """Return trajectories as float64 tensors, states (B, T, D), or positions (B, T, n), and times (B, T).
+    """Validate trajectories; return float64 states (B, T, D), or positions (B, T, n), and times (B, T).
 
     Raises:
-        UserError: a space that means nothing, shapes that do not fit it, infinite numbers, or times that do
-            not increase.
+        UserError: an invalid space, incompatible shapes, infinite numbers, or times that do not increase.
     """
     check_space(space)
     if not isinstance(given, Trajectories):
@@ -94,10 +93,10 @@ def check_trajectories(given: Trajectories, space: Space) -> Trajectories:
 
 
 def check_controls(given: Trajectories, space: Space, times: Tensor) -> Tensor | None:
-    """Return controls as float64, (B, T, m); None of a space without.
+    """Validate controls; return float64, (B, T, m), or None for a space without controls.
 
     Raises:
-        UserError: another shape, or one that is missing where a time is known.
+        UserError: a wrong shape, or a missing value at a known time.
     """
     if given.controls is None and not space.controls:
         return None
@@ -119,10 +118,10 @@ def check_controls(given: Trajectories, space: Space, times: Tensor) -> Tensor |
 
 
 def content_of(given: Trajectories, space: Space) -> Content:
-    """Return trajectories as the content of a file; momenta that are all NaN are those of positions alone.
+    """Convert trajectories to file content; momenta that are all NaN mean positions only.
 
     Raises:
-        UserError: what `check_trajectories` refuses.
+        UserError: as for `check_trajectories`.
     """
     states, times, *_ = check_trajectories(given, space)
     controls = check_controls(given, space, times)
@@ -140,7 +139,7 @@ def content_of(given: Trajectories, space: Space) -> Content:
 
 
 def _known(text: str) -> str:
-    """Return a unit, or that of plain numbers in the place of one of the user's own."""
+    """Return a known unit, or the dimensionless unit in place of a custom one."""
     try:
         unit(text)
     except ValueError:

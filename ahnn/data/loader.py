@@ -1,4 +1,4 @@
-"""Batches in an order that depends on (seed, epoch) alone, resumable inside an epoch."""
+"""Batch loaders with an order determined by (seed, epoch), resumable within an epoch."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from ahnn.measurements import Segment
 from ahnn.types import Window
 
 AHEAD = 4
-"""Batches that are gathered at once, where they are streamed."""
+"""Number of batches gathered at once when streaming."""
 PERMUTED = 10**8
-"""Windows up to which an epoch is a part of a permutation of all."""
+"""Number of windows up to which an epoch is drawn from a full permutation."""
 
 
 class EpochLoader(ABC):
-    """An iterable of batches that Lightning can shuffle by epoch, checkpoint and resume."""
+    """Iterable of batches that Lightning can shuffle by epoch, checkpoint and resume."""
 
     def __init__(self) -> None:
         self.epoch = 0
@@ -38,20 +38,20 @@ class EpochLoader(ABC):
 
     @property
     def sampler(self) -> EpochLoader:
-        """Lightning calls `sampler.set_epoch` before each epoch."""
+        """This object, as Lightning calls `sampler.set_epoch` before each epoch."""
         return self
 
     @property
     def batch_sampler(self) -> None:
-        """Lightning asks whether batches are drawn by a sampler of their own; they are not."""
+        """None: there is no separate batch sampler, which Lightning queries."""
         return
 
     def set_epoch(self, epoch: int) -> None:
-        """Choose the order of this epoch."""
+        """Set the epoch, which determines the order."""
         self.epoch = epoch
 
     def state_dict(self) -> dict[str, int]:
-        """Return the place in the current epoch, for a checkpoint."""
+        """Return the position in the current epoch, for a checkpoint."""
         return {"epoch": self.epoch, "position": self.position}
 
     def load_state_dict(self, state: dict[str, int]) -> None:
@@ -68,10 +68,10 @@ class EpochLoader(ABC):
 
     @abstractmethod
     def gather(self, batch: Tensor) -> Any:
-        """Return the batch of some indices."""
+        """Return the batch of given indices."""
 
     def __iter__(self) -> Iterator[Any]:
-        """Yield the batches that are left of the current epoch."""
+        """Yield the remaining batches of the current epoch."""
         begin = self.position if self.epoch == self.resume_epoch and self.position < len(self) else 0
         batches = self.batches()[begin:]
         gathered = ahead(self.gather, batches) if self.streamed else map(self.gather, batches)
@@ -81,7 +81,7 @@ class EpochLoader(ABC):
 
 
 def ahead(gather: Callable[[Tensor], Any], batches: Sequence[Tensor]) -> Iterator[Any]:
-    """Yield what is gathered for each of the batches, the next ones in the background meanwhile."""
+    """Yield gathered batches, with the next ones gathered in the background."""
     pool = ThreadPoolExecutor(AHEAD)
     try:
         coming = deque(pool.submit(gather, batch) for batch in batches[:AHEAD])
@@ -98,14 +98,14 @@ class WindowLoader(EpochLoader):
     """Batches of windows.
 
     Args:
-        windows: what to draw from.
+        windows: windows to draw from.
         batch_size: windows in a batch; the last batch of an epoch may be smaller.
-        per_epoch: windows drawn in one epoch, all of them if None.
-        seed: makes the order, together with the epoch; None keeps the stored order, evenly thinned.
-        emphasis: 0 draws all windows alike, without replacement; above, windows are drawn with replacement
-            in proportion to this power of the speed at which their momenta change.
-        rank, world: of `world` processes, this one gets part `rank` of every batch. All parts together are
-            the batch of a single process, whatever the number of processes.
+        per_epoch: windows drawn per epoch, or None for all.
+        seed: seed of the order, together with the epoch; None for the stored order, evenly thinned.
+        emphasis: 0 for uniform draws without replacement; otherwise draws with replacement in proportion to
+            this power of the rate of momentum change.
+        rank, world: this process gets part `rank` of `world` parts of every batch. Together the parts equal
+            the batch of a single process, for any number of processes.
     """
 
     def __init__(
@@ -128,7 +128,7 @@ class WindowLoader(EpochLoader):
 
     @property
     def streamed(self) -> bool:
-        """Whether batches may have to wait for a disk."""
+        """Whether batches may wait for a disk."""
         return self.windows.streamed
 
     def __len__(self) -> int:
@@ -153,14 +153,14 @@ class WindowLoader(EpochLoader):
         return self.order().to(self.windows.flat.device).split(self.batch_size)
 
     def gather(self, batch: Tensor) -> Window:
-        """Return the windows of this process among those of a batch, shape (B,)."""
+        """Return this process's part of the windows of a batch, shape (B,)."""
         own = batch.tensor_split(self.world)[self.rank]
         window = self.windows.gather(own if len(own) else batch[:1])
         return window._replace(weight=self.world * len(own) / len(batch))
 
 
 def distinct(total: int, count: int, generator: torch.Generator) -> Tensor:
-    """Return `count` different numbers below `total`, in random order, without a permutation of all."""
+    """Draw `count` distinct numbers below `total`, in random order, without a full permutation."""
     drawn = torch.empty(0, dtype=torch.int64)
     while len(drawn) < count:
         more = torch.randint(total, (2 * (count - len(drawn)),), generator=generator)
@@ -171,12 +171,12 @@ def distinct(total: int, count: int, generator: torch.Generator) -> Tensor:
 
 
 class SegmentLoader(EpochLoader):
-    """Batches of measured stretches, drawn anew for each step.
+    """Batches of measurement segments, redrawn for each step.
 
     Args:
-        segments: epoch -> what to draw from, and how many make a batch.
-        steps: batches of an epoch; 0 gives each stretch once, in the stored order.
-        seed: makes the draw, together with the epoch.
+        segments: function from the epoch to the segments and the batch size.
+        steps: batches per epoch; 0 for each segment once, in the stored order.
+        seed: seed of the draws, together with the epoch.
     """
 
     def __init__(self, segments: Callable[[int], tuple[Segments, int]], steps: int, seed: int) -> None:
@@ -198,5 +198,5 @@ class SegmentLoader(EpochLoader):
         return [torch.randperm(count, generator=generator)[:size] for _ in range(self.steps)]
 
     def gather(self, batch: Tensor) -> Segment:
-        """Return the stretches of a batch."""
+        """Return the segments of a batch."""
         return self.segments(self.epoch)[0].gather(batch)

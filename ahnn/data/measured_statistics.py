@@ -1,4 +1,4 @@
-"""Statistics of measurements: what `Statistics.of` says of states, without differences of noisy samples."""
+"""Statistics of measurements, as `Statistics.of` for states but without differences of noisy samples."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from ahnn.measurements.smoothing import Local, as_states, scale_of
 from ahnn.statistics import Statistics
 
 EXAMPLES = 4_000
-"""Samples whose neighbourhood is smoothed."""
+"""Number of samples whose neighbourhood is smoothed."""
 UNTRUE = 5.0
-"""Times the median error, in predicting the sample in its middle, of polynomials too stiff for the motion."""
+"""Multiple of the median error in predicting the central sample above which a polynomial is too stiff."""
 
 
 def measured_statistics(local: Local, instrument: Instrument, measured: Observations) -> Statistics:
-    """Return the statistics of measurements, read off polynomials that are local in time.
+    """Compute the statistics of measurements from local polynomials in time.
 
-    Rates come from the polynomials and not from differences, which noise inflates; single forces only where
-    a polynomial predicts its sample about as well as most do.
+    Rates are from polynomials, since noise inflates differences; single forces are used only where a
+    polynomial predicts its sample about as well as most.
     """
     states = as_states(local.value, local.rate, instrument)
     rates = as_states(local.rate, local.curvature, instrument)

@@ -1,4 +1,4 @@
-"""How much noise samples have, read off their differences of high order, before anything is trained."""
+"""Noise level of samples from high-order differences, before training."""
 
 from __future__ import annotations
 
@@ -9,42 +9,42 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 ORDERS = (8, 9, 10)
-"""Of the differences: a smooth motion is gone from them, unless it is sampled too rarely."""
+"""Orders of the differences: smooth motion vanishes in them, unless it is sampled too sparsely."""
 PLATEAU = 0.2
-"""Change from one order to the next beyond which it is the motion that is seen."""
+"""Change between orders above which motion dominates the differences."""
 NORMAL = 0.6745
 """Median absolute value of a standard normal number."""
 LOW, LOW_NORMAL = 0.2, 0.2533
-"""A share of the differences that few outliers reach, and what bounds it of standard normal ones."""
+"""Quantile of differences robust against few outliers, and its value for standard normal ones."""
 FAR = 6.0
-"""Standard deviations of a difference beyond which what it is centred on does not count."""
+"""Standard deviations of a difference beyond which its central sample is excluded."""
 SHARE = 1e-4
-"""Noise in increments from which objectives that compare windows of samples learn it."""
+"""Noise relative to increments above which objectives that compare windows learn the noise."""
 LOOKED_AT = 2**18
-"""Samples of which medians are sharp enough, to half a per cent."""
+"""Number of samples for medians accurate to half a per cent."""
 SMALL, MEANS = 0.02, 0.25
-"""Noise relative to all that a component moves that needs no test, and by which means may be off."""
+"""Noise relative to a component's total motion that needs no test, and tolerance of the means."""
 TWICE = 2.0
-"""Factor by which stated and found noise may differ without a word."""
+"""Tolerated factor between stated and estimated noise."""
 
 
 def noise_floor(samples: Tensor, times: Tensor) -> Tensor:
-    """Return the standard deviation of the noise of each component, (D,); NaN where it cannot be told.
+    """Estimate the noise standard deviation of each component, (D,); NaN if undetermined.
 
-    Divided differences of high order leave nothing of a smooth motion, whatever the times of its samples, and
-    all of independent noise. Medians leave out events such as the passage of a periapsis, and outliers, as
-    long as these are not more than about a tenth of the samples, are taken out before.
+    High-order divided differences remove smooth motion for any sample times, and preserve independent noise.
+    Medians are insensitive to events such as a periapsis passage, and outliers, up to about a tenth of the
+    samples, are removed beforehand.
 
     Args:
-        samples: (B, T, D) states or measurements; absent ones are NaN.
-        times: (B, T).
+        samples: (B, T, D) states or measurements; NaN where missing.
+        times: (B, T) sample times.
     """
     plateau = differences_level(samples, times)
     return torch.where(falls_as_noise(samples, times, plateau), plateau, torch.nan)
 
 
 def differences_level(samples: Tensor, times: Tensor) -> Tensor:
-    """Return what differences of all high orders leave of each component, (D,); NaN where they disagree."""
+    """Return the noise level from differences of all high orders, (D,); NaN where they disagree."""
     if samples.shape[1] <= ORDERS[-1]:
         return samples.new_full(samples.shape[-1:], torch.nan)
     level = torch.stack(levels(samples, times, ORDERS))
@@ -53,17 +53,17 @@ def differences_level(samples: Tensor, times: Tensor) -> Tensor:
 
 
 def levels(samples: Tensor, times: Tensor, orders: Sequence[int]) -> list[Tensor]:
-    """Return the standard deviations (D,) of independent noise that would leave differences as large."""
+    """Return the standard deviations (D,) of independent noise with equally large differences."""
     kept = without_events(samples, times)
     sizes = [differences(kept, weights(times, order)).abs().flatten(0, 1) for order in orders]
     return [size.nanmedian(0).values / NORMAL for size in sizes]
 
 
 def falls_as_noise(samples: Tensor, times: Tensor, level: Tensor) -> Tensor:
-    """Return for which components (D,) means of m samples in a row show the level over the root of m.
+    """Return components (D,) whose means of m consecutive samples have the level over sqrt(m).
 
-    Those of independent noise do. A motion that is sampled a few times a period leaves differences of high
-    order as large as it is itself, but not such means. A level of a small part of the motion needs no test.
+    This holds for independent noise. Motion sampled only a few times per period has high-order differences as
+    large as itself, but not such means. Levels small relative to the motion need no test.
     """
     if samples.shape[1] <= ORDERS[-1]:
         return torch.zeros_like(level, dtype=torch.bool)
@@ -76,9 +76,9 @@ def falls_as_noise(samples: Tensor, times: Tensor, level: Tensor) -> Tensor:
 
 
 def is_coloured(samples: Tensor, times: Tensor, level: Tensor) -> Tensor:
-    """Return for which components (D,) means of samples in a row show more than white noise would leave.
+    """Return components (D,) whose means of consecutive samples exceed those of white noise.
 
-    Differences of high order see little of noise that correlates from sample to sample.
+    High-order differences are insensitive to noise correlated between samples.
     """
     found = torch.zeros_like(level, dtype=torch.bool)
     for ratio, allowed in _of_means(samples, times, level):
@@ -87,7 +87,7 @@ def is_coloured(samples: Tensor, times: Tensor, level: Tensor) -> Tensor:
 
 
 def _of_means(samples: Tensor, times: Tensor, level: Tensor) -> Iterator[tuple[Tensor, float]]:
-    """Yield what means of two and three samples show over what they would of white noise, and its bound."""
+    """Yield the level of means of two and three samples relative to white noise, and its bound."""
     samples = without_events(samples, times)
     for m in (2, 3):
         count = samples.shape[1] // m
@@ -99,16 +99,16 @@ def _of_means(samples: Tensor, times: Tensor, level: Tensor) -> Iterator[tuple[T
 
 
 def weights(times: Tensor, order: int) -> Tensor:
-    """Return what samples in a row count in a divided difference of order k: (B, T - k, k + 1).
+    """Return the weights of consecutive samples in a divided difference of order k: (B, T - k, k + 1).
 
-    They are of unit length, so that the difference of independent noise is as large as the noise.
+    They have unit norm, so that the difference of independent noise is as large as the noise.
 
     Args:
-        times: (B, T) increasing, or NaN where samples are absent.
-        order: k, at least 1.
+        times: (B, T) increasing times, NaN where samples are missing.
+        order: order k, at least 1.
     """
     near = times.unfold(1, order + 1, 1)
-    near = near / (near[..., -1:] - near[..., :1])  # products of times in any unit stay far from the limits
+    near = near / (near[..., -1:] - near[..., :1])  # avoids overflow for times in any unit
     found = torch.empty_like(near)
     for j in range(order + 1):
         others = torch.cat((near[..., :j], near[..., j + 1 :]), -1)
@@ -117,15 +117,15 @@ def weights(times: Tensor, order: int) -> Tensor:
 
 
 def differences(samples: Tensor, weights: Tensor) -> Tensor:
-    """Return the sums (B, T - k, D) of samples (B, T, D) in a row times their weights (B, T - k, k + 1)."""
+    """Return differences (B, T - k, D) of samples (B, T, D) with weights (B, T - k, k + 1)."""
     return torch.einsum("bidk,bik->bid", samples.unfold(1, weights.shape[-1], 1), weights)
 
 
 def without_events(samples: Tensor, times: Tensor) -> Tensor:
-    """Return samples (B, T, D) with NaN where a difference in which they count most is far larger than most.
+    """Return samples (B, T, D), NaN where a difference centred on them is exceptionally large.
 
-    A single outlier is part of k + 1 differences of order k: a few per cent of outliers would reach so many
-    of them that medians grow, too. Where it counts most is the largest of these.
+    A single outlier affects k + 1 differences of order k: a few per cent of outliers would affect enough of
+    them to increase medians. The difference in which it has the largest weight is the largest.
     """
     weight = weights(times, min(ORDERS[0], samples.shape[1] - 1))
     sizes = differences(samples, weight).abs()
@@ -139,14 +139,13 @@ def without_events(samples: Tensor, times: Tensor) -> Tensor:
 
 
 def remark_on(samples: Tensor, times: Tensor, names: Sequence[str], stated: Tensor | None) -> str | None:
-    """Return what the user should know of the noise of samples before a training, or None.
+    """Return a remark for the user on the noise of samples before training, or None.
 
     Args:
-        samples: (B, T, D) what training sees, of which some are looked at.
-        times: (B, T).
-        names: of their D components.
-        stated: (D,) standard deviations that the loss takes into account; None for a loss that takes samples
-            as exact.
+        samples: (B, T, D) training samples, of which some are examined.
+        times: (B, T) sample times.
+        names: names of their D components.
+        stated: (D,) standard deviations used by the loss; None for a loss that assumes exact samples.
     """
     samples, times = looked_at(samples, times)
     floor = noise_floor(samples, times)
@@ -170,7 +169,7 @@ def remark_on(samples: Tensor, times: Tensor, names: Sequence[str], stated: Tens
 
 
 def looked_at(samples: Tensor, times: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the beginnings of some trajectories, evenly chosen, of `LOOKED_AT` samples in all."""
+    """Return the beginnings of evenly chosen trajectories, `LOOKED_AT` samples in total."""
     some = slice(None, None, max(1, times.numel() // LOOKED_AT))
     count = max(LOOKED_AT // len(times[some]), ORDERS[-1] + 1)
     return samples[some, :count], times[some, :count]

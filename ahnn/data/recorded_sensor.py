@@ -1,4 +1,4 @@
-"""Measurements that a file holds, in the place of simulated ones."""
+"""Sensor of recorded measurements, in place of simulated ones."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from ahnn.types import Trajectories
 
 
 class Recorded(Sensor):
-    """The instrument of recorded measurements: its values are those of the file, and nothing is drawn.
+    """Sensor of recorded measurements, with values from the file and without simulated noise.
 
-    The truth is not known, of test trajectories neither.
+    The truth is unknown, also for test trajectories.
     """
 
     draws = False
 
     def measure(self, truth: Trajectories, part: int) -> Observations:
-        """Return the recorded values (B, T, M), NaN where one is missing; angles go on over turns."""
+        """Return the recorded values (B, T, M), NaN where missing; angles are unwrapped."""
         del part
         values = self.measurement(truth.states, truth.times)
         return Observations(continuous(values, periods(self.measurement)), truth.times)

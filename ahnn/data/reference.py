@@ -1,4 +1,4 @@
-"""Frame, centre, clock and time zero of numbers, and which of them fit each other."""
+"""References of data: frame, centre, time scale and epoch of time zero, and their compatibility."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from ahnn.errors import UserError
 
 SINCE = re.compile(r"from (?P<epoch>\S+)( (?P<clock>\S+))?")
 BODY = "EARTH"
-"""Centre of a model that names none, unless a user names another."""
+"""Default centre of a model without one."""
 
 
 class Reference(NamedTuple):
-    """What positions and times refer to; "" or None where nobody said.
+    """Reference of positions and times; "" or None if unspecified.
 
     Attributes:
         frame: axes of the positions, such as EME2000.
         center: body at their origin, such as EARTH.
-        clock: time system of epochs, such as UTC.
-        epoch: of time zero on this clock (`ahnn.data.files.epochs`).
+        clock: time scale of epochs, such as UTC.
+        epoch: epoch of time zero in this time scale (`ahnn.data.files.epochs`).
     """
 
     frame: str = ""
@@ -32,7 +32,7 @@ class Reference(NamedTuple):
 
     @classmethod
     def of(cls, text: str) -> Reference:
-        """Return what a text such as `EME2000, EARTH, UTC, from 2024-03-01T12:00:00.000` says."""
+        """Parse a text such as `EME2000, EARTH, UTC, from 2024-03-01T12:00:00.000`."""
         words = [word.removeprefix("?") for word in canonical(text).split(", ")]
         since = SINCE.fullmatch(words[-1])
         frame, center, clock = [*words[: len(words) - (since is not None)], "", "", ""][:3]
@@ -52,7 +52,7 @@ class Reference(NamedTuple):
         return ", ".join(names)
 
     def on(self, clock: str) -> Reference:
-        """Return the same epoch on another clock; raises UserError for one whose offset is not known."""
+        """Convert the epoch to another time scale; raises UserError for an unknown offset."""
         if self.epoch is None or "" in (clock, self.clock) or clock == self.clock:
             return self._replace(clock=clock or self.clock)
         if not {clock, self.clock} <= TO_TT.keys():
@@ -62,16 +62,16 @@ class Reference(NamedTuple):
         return self._replace(clock=clock, epoch=self.epoch + shift)
 
     def filled(self, other: Reference) -> Reference:
-        """Return this with what only the other one says; its epoch is turned to the clock of this."""
+        """Fill missing fields from another reference; its epoch is converted to this time scale."""
         frame, center, clock = (mine or theirs for mine, theirs in zip(self[:3], other[:3], strict=True))
         epoch = self.epoch if self.epoch is not None else other.on(clock).epoch
         return Reference(frame, center, clock, epoch)
 
     def chosen(self, keys: Reference) -> Reference:
-        """Return the reference of a run with what a user names besides.
+        """Complete the reference of a run with the user's settings.
 
         Raises:
-            UserError: another frame or centre than the run has.
+            UserError: a frame or centre that differs from that of the run.
         """
         for name in ("frame", "center"):
             ours, theirs = getattr(self, name), getattr(keys, name)
@@ -81,10 +81,10 @@ class Reference(NamedTuple):
         return keys.filled(self)
 
     def since(self, text: str | None) -> Reference:
-        """Return the same with an epoch that a user names; None leaves it as it is.
+        """Set the epoch given by a user; None leaves it unchanged.
 
         Raises:
-            UserError: no epoch.
+            UserError: invalid epoch.
         """
         if text is None:
             return self
@@ -96,14 +96,14 @@ class Reference(NamedTuple):
             raise UserError(message) from error
 
     def turn(self, ours: Reference, who: str) -> str | None:
-        """Return the frame that numbers given in this one are turned into for a model; None keeps them.
+        """Return the frame to which data must be transformed for a model; None for no transformation.
 
         Args:
-            ours: of the model.
-            who: what the numbers are, for messages.
+            ours: reference of the model.
+            who: description of the data, for messages.
 
         Raises:
-            UserError: another centre, or a frame that cannot be turned into that of the model.
+            UserError: another centre, or a frame that cannot be transformed to that of the model.
         """
         body = ours.center or BODY
         if self.center and alias(self.center) != alias(body):
@@ -124,5 +124,5 @@ class Reference(NamedTuple):
 
 
 def alias(name: str) -> str:
-    """Return one name for all those of a frame or a body."""
+    """Return the canonical name of a frame or a body."""
     return known(name) or canonical(name).upper()

@@ -1,4 +1,4 @@
-"""Stretches of measured trajectories by index arithmetic, as windows are of states."""
+"""Segments of measured trajectories by index arithmetic, analogous to windows of states."""
 
 from __future__ import annotations
 
@@ -11,17 +11,19 @@ from ahnn.measurements.smoothing import DEGREE, FIRST, located_at
 
 
 class Segments:
-    """All stretches of K intervals that begin where a start can be guessed.
+    """All segments of K intervals that begin where an initial state can be estimated.
 
-    Gaps inside a stretch are part of it. What lies beyond the end of a trajectory is not measured.
+    Segments may contain gaps. Samples beyond the end of a trajectory are unmeasured.
 
     Args:
-        measured: values (B, T, M) and times (B, T); NaN where nothing was measured.
-        intervals: K; None takes one stretch of each trajectory, from its first good start to its end.
-        instrument: what measured.
+        measured: values (B, T, M) and times (B, T); NaN where missing.
+        intervals: number K of intervals; None for one segment per trajectory, from its first suitable start
+            to its end.
+        instrument: measuring instrument.
 
     Attributes:
-        covering: how many stretches have as many measurements as there are; more of them only overlap.
+        covering: number of segments that together contain as many measurements as exist; more segments only
+            overlap.
 
     Raises:
         UserError: no trajectory is long enough.
@@ -48,7 +50,7 @@ class Segments:
             raise UserError(message)
         self.begins = good.nonzero()
         self.covering = max(1, round(float(there.sum()) / self.intervals))
-        # Beyond its end a trajectory goes on in steps of its own, so that all times increase.
+        # Times beyond the end of a trajectory continue with its own step, so that all times increase.
         step = (times.gather(1, last) - times[:, :1]) / last.clamp(min=1)
         beyond = torch.arange(samples + self.intervals) - last
         filled = torch.cat((times, times.new_full((rows, self.intervals), torch.nan)), dim=1)
@@ -56,11 +58,11 @@ class Segments:
         self.offsets = torch.arange(self.intervals + 1)
 
     def __len__(self) -> int:
-        """Return the number of stretches."""
+        """Return the number of segments."""
         return len(self.begins)
 
     def gather(self, index: Tensor) -> Segment:
-        """Return the stretches of `index`, shape (B,), as one batch."""
+        """Return the segments of `index`, shape (B,), as one batch."""
         row, column = self.begins[index].unsqueeze(1).unbind(-1)
         columns = column + self.offsets
         inside = columns < self.values.shape[1]
@@ -70,13 +72,13 @@ class Segments:
 
 
 def whole(measured: Observations, instrument: Instrument) -> Segment:
-    """Return all of each trajectory, from its first good start on, as one batch; raises as `Segments`."""
+    """Return each trajectory from its first suitable start on, as one batch; raises as `Segments`."""
     segments = Segments(measured, None, instrument)
     return segments.gather(torch.arange(len(segments)))
 
 
 def ahead(there: Tensor, count: int) -> Tensor:
-    """Return how many of so many samples from each one on are there, (B, T) from (B, T) bool."""
+    """Return the number of samples present in a span from each sample on, (B, T) from (B, T) bool."""
     padded = torch.nn.functional.pad(there.long(), (0, count))
     sums = torch.nn.functional.pad(padded.cumsum(1), (1, 0))
     return sums[:, count : count + there.shape[1]] - sums[:, : there.shape[1]]

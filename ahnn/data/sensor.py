@@ -1,4 +1,4 @@
-"""What training sees of simulated trajectories: measurements with noise in place of states."""
+"""Simulated sensor of training data: noisy measurements instead of states."""
 
 from __future__ import annotations
 
@@ -24,33 +24,33 @@ from ahnn.types import Space, Trajectories
 
 Share = Annotated[float, Within(0, 0.9)]
 OUTLIER = 50.0
-"""Standard deviations by which an outlier is off."""
+"""Size of an outlier, in standard deviations."""
 COPIES = 4
-"""Of the measurements, held at once while they are drawn."""
+"""Number of measurements held in memory while they are drawn."""
 
 
 @checked
 class Sensor:
-    """An instrument, how often it measures, and what goes wrong.
+    """Sensor with its sampling, gaps and outliers.
 
     Args:
-        space: what the numbers of a state mean.
+        space: description of the state components.
         measured: `state`, `position`, or a measurement model.
-        noise: standard deviations in the units of what is measured: one number for all, one for positions
-            and one for momenta, one for each component, or those of one of several stations; of recorded
-            measurements also `estimate`: the training finds them.
-        every: samples of a trajectory between two measurements.
-        stride: samples of a trajectory in a step of the integrator, at most; each ends on a measurement.
-        gaps: share of the measurements that are missing, drawn at random.
-        outliers: share of the measured numbers that are off by 50 standard deviations.
+        noise: standard deviations in measurement units: a common number, one for positions and one for
+            momenta, one per component, or those of one of several stations; of recorded measurements also
+            `estimate`: the training finds them.
+        every: number of trajectory samples between measurements.
+        stride: maximum number of trajectory samples per integrator step; each step ends at a measurement.
+        gaps: fraction of randomly missing measurements.
+        outliers: fraction of measured values that are off by 50 standard deviations.
         bias_sd: standard deviations of constant biases, as `Biases.of` takes them: they are drawn, and the
             training estimates them; None for none.
         correlation: whether the training estimates how noise correlates in time.
-        seed: of all that is drawn.
+        seed: seed of all random draws.
 
     Raises:
-        UserError: standard deviations that do not fit what is measured, or a model that no position can be
-            read off.
+        UserError: standard deviations that do not fit the measurements, or a model from which positions
+            cannot be estimated.
     """
 
     draws: ClassVar[bool] = True
@@ -98,16 +98,16 @@ class Sensor:
 
     @property
     def gives_states(self) -> bool:
-        """Whether whole states are measured."""
+        """Whether complete states are measured."""
         return isinstance(self.measurement, State)
 
     def instrument(self, spacing: float) -> Instrument:
-        """Return what a fit must know of measurements on samples so far apart."""
+        """Return the instrument, as needed by fits, for measurements on samples of given spacing."""
         longest, space = self.stride * spacing, self.space
         return Instrument(self.measurement, self.deviations, longest, space.dof, space.factor)
 
     def measure(self, truth: Trajectories, part: int) -> Observations:
-        """Return measurements (B, K, M) of true trajectories, with a seed for each part of the data."""
+        """Simulate measurements (B, K, M) of true trajectories, with a seed per part of the data."""
         states, times = truth.states[:, :: self.every], truth.times[:, :: self.every]
         size = COPIES * 8.0 * times.numel() * len(self.measurement.names)
         require_memory("data.trajectories, system.steps", "measurements", size)

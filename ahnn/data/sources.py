@@ -1,4 +1,4 @@
-"""Where trajectories come from: simulated from a Hamiltonian, or given."""
+"""Sources of trajectories: simulated from a Hamiltonian, or given by the user."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from ahnn.types import Space, Trajectories
 
 
 class Source(Protocol):
-    """Whole trajectories and what their numbers mean."""
+    """Source of whole trajectories with their state space."""
 
     @property
     def space(self) -> Space:
-        """What the numbers mean."""
+        """Description of the state components."""
         ...
 
     @property
     def truth(self) -> System | None:
-        """The system whose equations are known, or None."""
+        """System with known equations, or None."""
         ...
 
     def recipe(self) -> dict[str, Any]:
@@ -36,7 +36,7 @@ class Source(Protocol):
         ...
 
     def steps(self) -> int:
-        """Return about how many steps the shortest trajectory has, without making any."""
+        """Estimate the number of steps of the shortest trajectory, without generating any."""
         ...
 
     def read(self) -> Trajectories:
@@ -49,9 +49,9 @@ class Simulated:
     """Trajectories of a system with known equations, generated once and cached.
 
     Args:
-        system: the ground truth.
-        trajectories: how many.
-        seed: of the initial states.
+        system: true system.
+        trajectories: number of trajectories.
+        seed: seed of the initial states.
         cache: folder of generated data.
     """
 
@@ -61,11 +61,11 @@ class Simulated:
 
     @property
     def space(self) -> Space:
-        """What the numbers of the system mean."""
+        """Description of the system's state components."""
         return self.truth.space
 
     def check(self) -> None:
-        """Raise UserError for more trajectories than the disk of the cache holds."""
+        """Raise UserError for more trajectories than fit on the disk of the cache."""
         size = 8.0 * self.count * (self.steps() + 1) * len(self.space.components)
         if not store.place(self.cache, self.recipe()).exists():
             require_disk("data.trajectories, system.steps", "trajectories", size, self.cache)
@@ -75,11 +75,11 @@ class Simulated:
         return store.recipe(self.truth, self.count, self.seed)
 
     def steps(self) -> int:
-        """Return the steps of a trajectory drawn for a trial."""
+        """Return the number of steps of a trial trajectory."""
         return int(self.truth.durations(self.truth.initial_states(1, torch.Generator().manual_seed(0))).max())
 
     def read(self) -> Trajectories:
-        """Return the trajectories, from the cache where they are in it; it holds no controls."""
+        """Return the trajectories, from the cache if present; the cache contains no controls."""
         if self.truth.controls:
             return generate(self.truth, self.count, self.seed)
         make = lambda: generated(self.truth, self.count, self.seed)  # noqa: E731
@@ -88,19 +88,18 @@ class Simulated:
 
 @checked
 class Given(Recordings):
-    """Trajectories that a user has in Python.
+    """Trajectories passed from Python.
 
     Args:
-        trajectories: states (B, T, 2n) and times (B, T) or (T,), NaN where a sample is absent; momenta that
-            are all NaN, or left out, are unknown. Controls (B, T, m) of a space that names them.
-        space: what the numbers mean.
-        cut: as `Recordings` has it.
-        gap: likewise.
-        unsound: likewise.
+        trajectories: states (B, T, 2n) and times (B, T) or (T,), NaN where a sample is missing; momenta that
+            are all NaN, or omitted, are unknown. Controls (B, T, m) of a space that names them.
+        space: description of the state components.
+        cut: as in `Recordings`.
+        gap: as in `Recordings`.
+        unsound: as in `Recordings`.
 
     Raises:
-        UserError: a space that means nothing, shapes that do not fit it, infinite numbers, or times that do
-            not increase.
+        UserError: an invalid space, incompatible shapes, infinite numbers, or times that do not increase.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Training, validation and test: whole trajectories, divided once for all models."""
+"""Training, validation and test splits of whole trajectories, common to all models."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ SAME, OTHERS = "the test split of the training's data", "other trajectories than
 
 
 class SplitData:
-    """The trajectories of a source in three splits, read when they are first asked for.
+    """Trajectories of a source in three splits, read on first access.
 
     Args:
-        source: where they come from.
+        source: source of the trajectories.
         split: fractions of train, val and test.
-        sensor: what training sees of them; None sees the states themselves.
+        sensor: sensor of the training data; None for exact states.
     """
 
     def __init__(self, source: Source, split: list[float], sensor: Sensor | None = None) -> None:
@@ -49,18 +49,18 @@ class SplitData:
         return self._parts[split]
 
     def seen(self) -> list[int]:
-        """Return fingerprints of the trajectories that a training sees, for `beside`."""
+        """Return fingerprints of the training trajectories, for `beside`."""
         return remembered(self["train"]) + remembered(self["val"])
 
     def beside(self, known: dict[str, Any] | None, seen: Sequence[int] = ()) -> str:
-        """Return how the test trajectories relate to the data of a training; SAME where all is as it was.
+        """Return the relation of the test trajectories to the data of a training; SAME if unchanged.
 
         Args:
-            known: `recipe` and `split` of the training; None if nobody wrote them down.
-            seen: by the training, as `seen` returns it; earlier versions did not write it down.
+            known: `recipe` and `split` of the training; None if not recorded.
+            seen: fingerprints of the training, as returned by `seen`; not recorded by earlier versions.
 
         Raises:
-            UserError: some of them are the same, or may be.
+            UserError: some are identical to training trajectories, or may be.
         """
         if known is None:
             return "unknown training data"
@@ -87,7 +87,7 @@ class SplitData:
         return "a part of the test split of the training's data"
 
     def _others(self, files: bool, seen: Sequence[int]) -> str:
-        """Return in which way the data are others; raises UserError for a test trajectory that was seen."""
+        """Describe how the data differ; raises UserError for a test trajectory used in training."""
         count = len(self["test"].states)
         if known := recognised(self["test"], seen):
             message = (
@@ -100,14 +100,14 @@ class SplitData:
         return what + (", none of whose test trajectories it saw" if seen else "")
 
     def measured(self, split: Split) -> Observations:
-        """Return what the sensor sees of a split."""
+        """Return the measurements of a split."""
         assert self.sensor is not None
         if split not in self._measured:
             self._measured[split] = self.sensor.measure(self[split], SPLITS.index(split))
         return self._measured[split]
 
     def instrument(self) -> Instrument:
-        """Return what measures, and how far an integrator steps between: some samples of the truth."""
+        """Return the instrument, and the integrator step between its measurements, in samples."""
         assert self.sensor is not None
         spacing = sampling_interval(self["test"])
         found = self.sensor.instrument(float(spacing.nanmedian()) if isinstance(spacing, Tensor) else spacing)
@@ -134,7 +134,7 @@ class SplitData:
 
 
 def check_fractions(fractions: list[float]) -> None:
-    """Raise UserError for fractions that are not three positive numbers that sum to 1."""
+    """Raise UserError for fractions that are not three positive numbers with sum 1."""
     if not (len(fractions) == 3 and all(s > 0 for s in fractions) and abs(sum(fractions) - 1) <= 1e-9):
         message = (
             f"split: expected three positive fractions that sum to 1 (train, val, test); received {fractions}"
@@ -143,10 +143,10 @@ def check_fractions(fractions: list[float]) -> None:
 
 
 def split_sizes(count: int, fractions: list[float]) -> list[int]:
-    """Return how many trajectories each split gets; the first takes what rounding leaves.
+    """Return the number of trajectories per split; the first takes the remainder of rounding.
 
     Raises:
-        UserError: fractions that are not three positive numbers that sum to 1, or a split that stays empty.
+        UserError: fractions that are not three positive numbers with sum 1, or an empty split.
     """
     check_fractions(fractions)
     rest = [round(fraction * count) for fraction in fractions[1:]]

@@ -1,4 +1,4 @@
-"""Covariances that an orbit ephemeris message has of the states at which something begins."""
+"""Initial covariances from orbit ephemeris messages."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from ahnn.errors import UserError
 log = logging.getLogger("ahnn")
 
 ALONG = ("RTN", "RSW", "RIC")
-"""Names of the axes along position, in the plane of the orbit, and along its angular momentum."""
+"""Names of the axes along the position, along-track in the orbital plane, and along the angular momentum."""
 MILLISECOND = SECOND // 1000
-"""Within which two epochs are one."""
+"""Tolerance within which two epochs are equal."""
 
 
 class KnownCovariance(NamedTuple):
-    """Covariances of states.
+    """Known covariances of states.
 
     Attributes:
         matrices: (B, 6, 6), in km and km/s.
-        moments: epochs at which they hold.
+        moments: their epochs.
     """
 
     matrices: Tensor
@@ -43,16 +43,16 @@ class KnownCovariance(NamedTuple):
 def covariances_of(
     path: Path, moments: list[int], frame: str | None, *, earlier: bool
 ) -> KnownCovariance | None:
-    """Return the covariance of a state of each segment; None, and a warning, where a segment has none of it.
+    """Return the covariance of each segment's state; None, with a warning, if a segment has none.
 
     Args:
-        path: of the message.
+        path: path of the message.
         moments: epochs of the states.
-        frame: into which states are turned; None leaves them in that of the message.
-        earlier: whether one of an earlier state may stand for it, to be carried on.
+        frame: target frame of the states; None for that of the message.
+        earlier: whether to accept the covariance of an earlier state, for propagation.
 
     Raises:
-        UserError: axes that cannot be turned into those of the states.
+        UserError: axes that cannot be transformed to those of the states.
     """
     segments = (read_opm if kind_of(content_of(path), str(path)) == "opm" else read_oem)(path)
     if not any(one.covariances for one in segments):
@@ -68,7 +68,7 @@ def covariances_of(
 def latest(
     one: Ephemeris, moment: int, frame: str | None, path: Path, earlier: bool
 ) -> tuple[Array, int] | None:
-    """Return the last covariance of a segment that is of a state up to an epoch, and when it holds."""
+    """Return the last covariance of a segment up to an epoch, and its epoch."""
     for covariance in sorted(one.covariances, key=lambda each: -each.time):
         here = one.start + round(covariance.time * SECOND)
         k = int(np.abs(one.times - covariance.time).argmin())
@@ -96,7 +96,7 @@ def axes_of(state: Array, frame: str, one: Ephemeris, path: Path) -> Array:
 
 
 def turning(one: Ephemeris, time: float, frame: str, path: Path) -> Array:
-    """Return the matrix (6, 6) that turns states of a segment into another frame: it turns unit vectors."""
+    """Return the matrix (6, 6) that transforms states of a segment to another frame, from unit vectors."""
     rows = np.zeros(6, dtype=np.int64)
     units = Track("", str(path), rows, np.full(6, time), np.eye(6))
     name = f"{one.frame}, {one.center}, {one.time_system}"

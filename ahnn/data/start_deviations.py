@@ -1,4 +1,4 @@
-"""Standard deviations of states in a table: columns `sd_NAME` beside those of positions and rates."""
+"""Standard deviations of states from `sd_NAME` columns of a table."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ KINDS = ("table", "parquet")
 
 
 def deviations_of(path: Path, kind: Kind, times: Tensor, *, weighed: bool) -> Tensor | None:
-    """Return the standard deviations of states in a table, in the units and the order that readers give them.
+    """Read the standard deviations of states from a table, in the readers' units and order.
 
     Args:
-        path: of the file.
-        kind: what it is.
-        times: (B,) of the states, one of each trajectory.
+        path: path of the file.
+        kind: kind of the file.
+        times: (B,) times of the states, one per trajectory.
         weighed: whether a mass is stated.
 
     Returns:
-        (B, 2n); None where the file has none, or has some that are not > 0, as predictions from exact states.
+        (B, 2n); None if the file has none, or some that are not > 0, as for predictions from exact states.
 
     Raises:
-        UserError: of some components alone, or in another unit than these have.
+        UserError: standard deviations of only some components, or in another unit than the components.
     """
     if kind not in KINDS:
         return None

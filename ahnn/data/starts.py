@@ -1,6 +1,6 @@
-"""Where a prediction or an assimilation begins: numbers in brackets, or states in files of many kinds.
+"""Initial states of predictions and assimilations, from numbers or from files of many formats.
 
-One rule for all commands: what a file says of frame, centre, epoch and covariance is used or refused.
+For all commands, frame, centre, epoch and covariance of a file are either used or rejected.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ KEYS = {"mean", "sd", "covariance", "frame", "epoch"}
 
 
 class Starts(NamedTuple):
-    """States at which predictions or assimilations begin.
+    """Initial states of predictions or assimilations.
 
     Attributes:
-        names: of the trajectories.
-        states: (B, D), in the units of the space.
-        times: (B,) of the states, in its unit of time.
-        reference: of positions and times, as far as the file says it.
-        covariances: (B, D, D), or None where none is known.
-        since: (B,) times at which the covariances hold, and (B, D) states of then, where they are of earlier
-            states; None where they are of these.
+        names: names of the trajectories.
+        states: (B, D) states in the units of the space.
+        times: (B,) times of the states, in its unit of time.
+        reference: reference of positions and times, if specified by the file.
+        covariances: (B, D, D) covariances, or None if unknown.
+        since: (B,) times of covariances of earlier states, and (B, D) these states; None for covariances of
+            the states themselves.
     """
 
     names: tuple[str, ...]
@@ -64,17 +64,17 @@ def starts(
     sd: Any = None,
     last: bool = False,
 ) -> Starts:
-    """Return the starts that a user names.
+    """Read the starts given by a user.
 
     Args:
         given: the path of a file, or numbers: one state or several.
-        space: what the numbers of the model mean.
-        ours: frame, centre and clock of the model; states of a file in another frame are turned into it.
-        sd: standard deviations (`state_deviations`) in place of what a file says; None without.
-        last: of each trajectory in a file the last state, in place of the first.
+        space: description of the model's state components.
+        ours: frame, centre and time scale of the model; states in another frame are transformed.
+        sd: standard deviations (`state_deviations`) which replace those of a file, or None.
+        last: whether to use the last state of each trajectory in a file, instead of the first.
 
     Raises:
-        UserError: they are no states of this space, or their frame or centre does not fit.
+        UserError: invalid states for the space, or an incompatible frame or centre.
     """
     path = Path(given).expanduser() if isinstance(given, str) else None
     if path is not None and not path.is_file():
@@ -99,15 +99,15 @@ def starts(
 
 
 def of_one_state(given: str | list[Any] | None) -> bool:
-    """Return whether a start is a state that has no name: numbers, plain values, or an estimate."""
+    """Return whether a start is an unnamed state: numbers, plain values, or an estimate."""
     path = Path(given).expanduser() if isinstance(given, str) else None
     return path is None or path.suffix.lower() in PLAIN or is_track(path)
 
 
 def referred(found: Starts, ours: Reference) -> Starts:
-    """Return starts whose reference is that of the model, completed by what their file says.
+    """Return starts with the model's reference, completed by their file.
 
-    Their times count from the epoch of the file, where it has one.
+    Their times are relative to the epoch of the file, if any.
     """
     own, clock = found.reference, ours.clock or found.reference.clock
     since = own if own.epoch is not None else ours
@@ -116,7 +116,7 @@ def referred(found: Starts, ours: Reference) -> Starts:
 
 
 def of_numbers(given: Any, space: Space) -> Starts:
-    """Return starts at time zero; raises UserError."""
+    """Build starts at time zero from numbers; raises UserError."""
     size = len(space.components)
     try:
         states = as_float64(given, "start")
@@ -132,7 +132,7 @@ def of_numbers(given: Any, space: Space) -> Starts:
 
 
 def of_plain(path: Path, space: Space) -> Starts:
-    """Return the state of a YAML or JSON file: mean, sd or covariance, frame, epoch; raises UserError."""
+    """Read the state of a YAML or JSON file: mean, sd or covariance, frame, epoch; raises UserError."""
     try:
         content = plain_yaml(decoded(content_of(path), path))
     except (yaml.YAMLError, RecursionError) as error:
@@ -166,7 +166,7 @@ def of_plain(path: Path, space: Space) -> Starts:
 
 
 def of_track(path: Path, space: Space) -> Starts:
-    """Return the last estimate of an assimilation's output; raises UserError."""
+    """Read the last estimate of an assimilation's output; raises UserError."""
     found = last_estimate(path, space)
     time = torch.tensor([found.time], dtype=torch.float64)
     start = Starts(numbered(1), found.mean[None], time, found.reference, found.covariance[None])
@@ -175,9 +175,9 @@ def of_track(path: Path, space: Space) -> Starts:
 
 
 def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: bool) -> Starts:
-    """Return the first or the last state of each trajectory in a data file; raises UserError."""
+    """Read the first or the last state of each trajectory in a data file; raises UserError."""
     kind = kind_of(content_of(path), str(path))
-    second = 1.0 if kind in ("elements", "omm") else None  # between the two samples that SGP4 gives
+    second = 1.0 if kind in ("elements", "omm") else None  # between the two samples propagated by SGP4
 
     def read(frame: Any = None) -> Files:
         return Files("start", str(path), mass=space.mass, frame=frame, step=second, duration=second)
@@ -230,10 +230,10 @@ def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: 
 
 
 def columns_of(files: Files, space: Space, path: Path) -> tuple[list[int], Tensor]:
-    """Return the places of a space's components in a file, and what they are multiplied with, (D,).
+    """Return the column indices of a space's components in a file, and conversion factors, (D,).
 
     Raises:
-        UserError: other columns, positions alone, or units that do not fit.
+        UserError: missing or other columns, positions only, or incompatible units.
     """
     found, names, n = files.space, space.components[: space.dof], space.dof
     theirs = found.components[: found.dof]
@@ -252,7 +252,7 @@ def columns_of(files: Files, space: Space, path: Path) -> tuple[list[int], Tenso
 
 
 def factor(theirs: str, ours: str, path: Path) -> float:
-    """Return what numbers in a unit of a file are multiplied with; a file without units has ours."""
+    """Return the conversion factor of a unit in a file; a file without units uses ours."""
     try:
         return 1.0 if theirs == "1" else units.factor(theirs, ours)
     except ValueError as error:
@@ -261,12 +261,12 @@ def factor(theirs: str, ours: str, path: Path) -> float:
 
 
 def numbered(count: int) -> tuple[str, ...]:
-    """Return the numbers from 1 as names."""
+    """Return names numbered from 1."""
     return tuple(str(k + 1) for k in range(count))
 
 
 def _with_units(space: Space) -> list[str]:
-    """Return the components with their units, those of momenta as of velocities times the inertia."""
+    """Return the components with their units, momenta in units of velocity times inertia."""
     scale = "" if space.mass == 1 else f" x {space.mass:g}"
     momentum = f"{space.units.velocity}{scale}" if space.mechanical else momentum_unit(space)
     parts = (space.units.position, momentum)

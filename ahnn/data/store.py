@@ -1,7 +1,7 @@
 """Generated trajectories on disk: one file per content hash, written atomically, verified on load.
 
-Files are in the safetensors format: reading one never executes anything. They are written part by part and
-mapped into memory, which therefore may be smaller.
+Files are in the safetensors format, which contains no executable content. They are written part by part and
+memory-mapped, and so may exceed the memory.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ from ahnn.types import Trajectories
 log = logging.getLogger(__name__)
 
 FORMAT = 4
-"""Raise this number when the meaning of a stored file changes, for example after a fix of the generator."""
+"""Format version, increased when the meaning of a file changes, for example after a fix of the generator."""
 BLOCK = 2**24
-"""Bytes that are read at once for a checksum."""
+"""Number of bytes read at once for a checksum."""
 SPARE = 512
-"""Bytes of a header for more than its metadata."""
+"""Maximum header size in bytes, excluding metadata."""
 
 
 def recipe(system: System, count: int, seed: int) -> dict[str, Any]:
-    """Return everything that determines a data set, as plain values."""
+    """Return the complete definition of a data set, as plain values."""
     kind = type(system)
     known = {
         "system": f"{kind.__module__}.{kind.__qualname__}",
@@ -52,9 +52,9 @@ def recipe(system: System, count: int, seed: int) -> dict[str, Any]:
 
 
 def source_of(kind: type) -> dict[str, str]:
-    """Return the hashes of the modules that define a system and its bases; those of ahnn go by `FORMAT`.
+    """Return the hashes of the modules that define a system and its bases; `FORMAT` covers those of ahnn.
 
-    A module, and not the class alone: a force may call what stands beside it.
+    Hashes whole modules, since a force may call other functions of its module.
     """
     modules = {base.__module__ for base in kind.__mro__} - {"builtins", "abc"}
     return {
@@ -65,7 +65,7 @@ def source_of(kind: type) -> dict[str, str]:
 
 
 def _source(name: str, kind: type) -> str:
-    """Return the source of a module; of one without, that of the class, or else its bytecode."""
+    """Return the source of a module; without one, that of the class, or else its bytecode."""
     for place in (sys.modules.get(name), kind):
         with contextlib.suppress(OSError, TypeError):
             return inspect.getsource(place)  # pyright: ignore[reportArgumentType]
@@ -73,13 +73,13 @@ def _source(name: str, kind: type) -> str:
 
 
 def _bytecode(value: Any) -> Any:
-    """Return what a function does, with the numbers and names in it; of other objects, plain values alone."""
+    """Return the bytecode, constants and names of a function; only plain values of other objects."""
     function = getattr(value, "fget", getattr(value, "__func__", value))
     if isinstance(function, FunctionType):
         return _bytecode(function.__code__), function.__defaults__, function.__kwdefaults__
     if isinstance(value, CodeType):
         return value.co_code, value.co_names, [_bytecode(part) for part in value.co_consts]
-    if isinstance(value, frozenset):  # a set written in code has no order of its own
+    if isinstance(value, frozenset):  # sets in code are unordered
         return sorted(map(repr, value))
     return value if isinstance(value, bool | int | float | str | bytes | tuple) else type(value).__name__
 
@@ -87,17 +87,17 @@ def _bytecode(value: Any) -> Any:
 def load_or_make(
     folder: Path, wanted: dict[str, object], make: Callable[[], Iterable[Trajectories]]
 ) -> Trajectories:
-    """Return the stored trajectories of a recipe, made and stored first when missing or damaged.
+    """Load the trajectories of a recipe, generating and storing them if missing or damaged.
 
     Args:
-        folder: of the stored files.
-        wanted: the recipe.
-        make: returns the parts of `write`.
+        folder: folder of the stored files.
+        wanted: recipe of the data.
+        make: function that returns the parts for `write`.
 
-    Of several processes that miss the same data, one makes it and the others wait.
+    If several processes need the same missing data, one generates it and the others wait.
 
     Raises:
-        UserError: the folder cannot be written.
+        UserError: the folder is not writable.
     """
     path = place(folder, wanted)
     stored = stored_in(path)
@@ -113,7 +113,7 @@ def load_or_make(
 
 
 def place(folder: Path, wanted: dict[str, object]) -> Path:
-    """Return the file of a recipe."""
+    """Return the path of a recipe's file."""
     key = hashlib.sha256(json.dumps({"format": FORMAT, **wanted}, sort_keys=True).encode()).hexdigest()[:16]
     return folder / f"{key}.safetensors"
 
@@ -130,12 +130,12 @@ def stored_in(path: Path) -> Trajectories | None:
 
 
 def write(path: Path, parts: Iterable[Trajectories], made_from: dict[str, object]) -> None:
-    """Write trajectories with their recipe and a checksum; the file appears whole or not at all.
+    """Write trajectories with their recipe and a checksum, atomically.
 
     Args:
-        path: of the file.
-        parts: the trajectories in their order; several parts share the row of times of the first.
-        made_from: the recipe.
+        path: path of the file.
+        parts: parts of the trajectories in order; all parts share the times of the first.
+        made_from: recipe of the data.
     """
     written, digest, times, shape = 0, hashlib.sha256(), None, (0, 0, 0)
     with atomic_file(path) as file:
@@ -143,7 +143,7 @@ def write(path: Path, parts: Iterable[Trajectories], made_from: dict[str, object
             if times is None:
                 times, shape = shared_times(part), part.states.shape
                 digest.update(content(times))
-                file.write(header(made_from, digest.hexdigest(), shape, times.shape))  # keeps the place
+                file.write(header(made_from, digest.hexdigest(), shape, times.shape))  # placeholder
             digest.update(content(part.states))
             file.write(content(part.states))
             written += len(part.states)
@@ -155,7 +155,7 @@ def write(path: Path, parts: Iterable[Trajectories], made_from: dict[str, object
 
 
 def header(made_from: dict[str, object], sha256: str, states: Sequence[int], times: Sequence[int]) -> bytes:
-    """Return the header of a safetensors file of states and times, as long for any number of trajectories."""
+    """Return the safetensors header of states and times, of equal length for any number of trajectories."""
     metadata = {"recipe": json.dumps(made_from, sort_keys=True), "sha256": sha256}
     end, last = 8 * math.prod(states), 8 * (math.prod(states) + math.prod(times))
     entries = {
@@ -169,7 +169,7 @@ def header(made_from: dict[str, object], sha256: str, states: Sequence[int], tim
 
 
 def read(path: Path) -> Trajectories:
-    """Map trajectories into memory after their checksum was verified; what is changed there stays there.
+    """Memory-map trajectories after verifying their checksum; changes are not written to the file.
 
     Raises:
         ValueError: the checksum does not match.
@@ -185,9 +185,9 @@ def read(path: Path) -> Trajectories:
 
 
 def checksum_in(path: Path, states: Sequence[int], times: Tensor) -> str:
-    """Return the checksum of a file whose states, of the shape it says, lie before its times.
+    """Compute the checksum of a file with states, of the declared shape, followed by times.
 
-    The file is read and not its map, which would fill the memory of this process with it.
+    Reads the file instead of its memory map, which would load all of it into memory.
     """
     digest = hashlib.sha256(content(times))
     with path.open("rb") as file:
@@ -209,7 +209,7 @@ def checksum(trajectories: Trajectories) -> str:
 
 
 def sealed(digest: Any, states: Sequence[int], times: Sequence[int]) -> str:
-    """Return the digest of contents and of the shapes without which they are other trajectories."""
+    """Return the digest of contents and their shapes."""
     digest.update(f"{[*states]}{[*times]}".encode())
     return digest.hexdigest()
 
@@ -220,7 +220,7 @@ def content(tensor: Tensor) -> memoryview:
 
 
 def shared_times(trajectories: Trajectories) -> Tensor:
-    """Return the times (B, T), or one row of them, (1, T), where all trajectories have the same."""
+    """Return the times (B, T), or a single row (1, T) if common to all trajectories."""
     times = trajectories.times
     shared = times.stride(0) == 0 or bool((times == times[:1]).all())
     return times[:1].contiguous() if shared else times.contiguous()

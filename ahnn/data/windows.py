@@ -11,25 +11,25 @@ from ahnn.statistics import sampling_interval
 from ahnn.types import Trajectories, Window
 
 STREAMED = 2**31
-"""Bytes of states beyond which batches are gathered ahead of time."""
+"""Size of states in bytes above which batches are gathered in advance."""
 SPEEDS = 2**22
-"""Windows whose speed is found at once."""
+"""Number of windows whose speed is computed at once."""
 
 
 class Windows:
     """All windows of W consecutive steps that fit inside single trajectories.
 
-    The samples of a trajectory that follow each other without a gap are a stretch. Window i is found by
-    arithmetic: its stretch by the cumulative count of windows, its offset by the rest. So a window straddles
-    neither two trajectories nor a sample that is absent.
+    Consecutive samples of a trajectory without a gap form a segment. Window i is found by arithmetic: its
+    segment from the cumulative count of windows, its offset from the remainder. A window therefore contains
+    neither samples of two trajectories nor missing samples.
 
     Args:
         trajectories: the data; kept in float64.
-        steps: W, the steps of a window (it spans W + 1 samples).
-        dtype: type in which batches are handed out.
+        steps: number W of steps per window, which spans W + 1 samples.
+        dtype: dtype of the batches.
 
     Raises:
-        UserError: no stretch is long enough for a window.
+        UserError: no segment is long enough for a window.
     """
 
     def __init__(self, trajectories: Trajectories, steps: int, dtype: torch.dtype) -> None:
@@ -51,11 +51,11 @@ class Windows:
         return int(self.ends[-1])
 
     def first_sample(self, index: Tensor) -> Tensor:
-        """Return the row of `flat`, shape (B,), at which each window of `index`, shape (B,), begins."""
+        """Return the row of `flat`, shape (B,), where each window of `index`, shape (B,), begins."""
         return self.firsts[torch.searchsorted(self.ends, index, right=True)] + index
 
     def speeds(self) -> Tensor:
-        """Return how fast momenta change over the first step of each window, shape (windows,), mean 1."""
+        """Return the rate of momentum change over the first step of each window, (windows,), with mean 1."""
         momenta, found = self.flat.chunk(2, dim=-1)[1], []
         for index in torch.arange(len(self), device=self.flat.device).split(SPEEDS):
             rows = self.first_sample(index)
@@ -75,13 +75,13 @@ class Windows:
 
     @property
     def streamed(self) -> bool:
-        """Whether batches may have to wait for a disk, or for the way to a device."""
+        """Whether batches may wait for a disk, or for transfer to a device."""
         return not self.flat.is_cuda and self.flat.nbytes > STREAMED
 
     def to(self, device: torch.device) -> None:
-        """Move samples and index tables to a device, once, where it has room; batches are gathered there.
+        """Move samples and index tables to a device once, if they fit; batches are then gathered there.
 
-        Where it has none, batches are gathered here and moved one by one.
+        Otherwise batches are gathered on the CPU and transferred one by one.
         """
         self.device = device
         if device.type == "cuda" and self.flat.nbytes > torch.cuda.mem_get_info(device)[0] / 2:
@@ -91,10 +91,10 @@ class Windows:
 
 
 def on_clock(trajectories: Trajectories, count: int) -> Trajectories:
-    """Return trajectories of extended states with k = `count` clock coordinates; 0 leaves them as they are.
+    """Return trajectories of extended states with k = `count` clock coordinates; 0 leaves them unchanged.
 
     Raises:
-        UserError: dynamics with controls, and trajectories without.
+        UserError: trajectories without controls, for dynamics with controls.
     """
     if (clock := trajectories.clock(count)) is None:
         return trajectories
@@ -105,7 +105,7 @@ def on_clock(trajectories: Trajectories, count: int) -> Trajectories:
 
 
 def require_span(steps: int, longest: int) -> None:
-    """Raise UserError for windows of no step, or of more than the longest stretch of samples has."""
+    """Raise UserError for windows of no step, or longer than the longest segment of samples."""
     if longest < 1:
         expected = "two samples in a row without a gap, for windows of steps"
         message = f"data: expected {expected}; received {steps} steps, and none in a row"
@@ -119,7 +119,7 @@ def require_span(steps: int, longest: int) -> None:
 
 
 def stretches_of(trajectories: Trajectories) -> tuple[Tensor, Tensor]:
-    """Return the stretches of all trajectories, found part by part; see `stretches`."""
+    """Return the segments of all trajectories, found part by part; see `stretches`."""
     found, before = [], 0
     for part in trajectories.parts():
         firsts, lengths = stretches(part.present)
@@ -130,7 +130,7 @@ def stretches_of(trajectories: Trajectories) -> tuple[Tensor, Tensor]:
 
 
 def stretches(present: Tensor) -> tuple[Tensor, Tensor]:
-    """Return where each run of samples without a gap begins and how long it is, in rows of the flat samples.
+    """Return begin and length of each run of samples without a gap, in rows of the flat samples.
 
     Args:
         present: (B, T) bool; a run ends with its trajectory.

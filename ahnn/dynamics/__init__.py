@@ -1,6 +1,6 @@
-"""What is learned, as plain modules: networks, input maps, energies, Hamiltonians, and the flows they make.
+"""Learnable dynamics as plain modules: networks, input maps, energies, Hamiltonians and their flows.
 
-Nothing here knows a trainer: dynamics compile, export and filter by themselves.
+The modules are independent of any trainer: dynamics can be compiled, exported and filtered on their own.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ KINDS: Table[type[Dynamics]] = Table(
         "generalised_hnn": GeneralisedHNN,
     },
 )
-"""Names under which dynamics are stored, and what is built for them."""
+"""Names under which dynamics are stored, with their classes."""
 
 
 def make_dynamics(kind: str, **options: Any) -> Dynamics:
-    """Return dynamics with fresh weights, from plain values.
+    """Build dynamics with newly initialised weights from plain values.
 
     Args:
         kind: a key of `KINDS`.
         options: arguments of its class.
 
     Raises:
-        UserError: unknown kind, or arguments that make no dynamics.
+        UserError: unknown kind or invalid arguments.
     """
     if kind not in KINDS:
         message = (

@@ -1,4 +1,4 @@
-"""Smooth activations with their slopes, once as formulas of autograd and once as few kernels without it."""
+"""Smooth activations and their slopes, as autograd formulas and as fused kernels without autograd."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _DENSITY = 1 / math.sqrt(2 * math.pi)
 
 
 class Kernels(NamedTuple):
-    """An activation and its derivatives in few passes; results are new tensors, which a caller may overwrite.
+    """Fused kernels of an activation and its derivatives; results are new tensors that callers may overwrite.
 
-    The derivatives are functions of y, which is the value sigma(z) or z itself.
+    The derivatives are functions of y, which is sigma(z) or z itself.
 
     Attributes:
         value: z -> sigma(z).
-        by_value: whether y is the value.
+        by_value: whether y = sigma(z).
         pull: (u, y) -> u sigma'(z).
         curvature: (y, sigma'(z)) -> sigma''(z).
     """
@@ -34,10 +34,10 @@ class Kernels(NamedTuple):
 
 
 class Activation(NamedTuple):
-    """A smooth activation as functions z -> value and z -> (value, derivative), which autograd follows.
+    """Smooth activation as differentiable functions z -> value and z -> (value, derivative).
 
     Attributes:
-        kernels: the same without autograd; None where there are none.
+        kernels: the same without autograd, or None.
     """
 
     value: Callable[[Tensor], Tensor]
@@ -45,13 +45,13 @@ class Activation(NamedTuple):
     kernels: Kernels | None = None
 
     def __reduce__(self) -> tuple[Callable[..., Activation], tuple[Any, ...]]:
-        """Copy and pickle by name, where it has one: kernels of torch cannot be pickled."""
+        """Copy and pickle named activations by name, since torch kernels cannot be pickled."""
         names = [name for name, known in ACTIVATIONS.items() if known is self]
         return (named, (names[0],)) if names else (Activation, tuple(self))
 
 
 def named(name: str) -> Activation:
-    """Return the activation of a name."""
+    """Return the activation with a given name."""
     return ACTIVATIONS[name]
 
 

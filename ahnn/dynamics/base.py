@@ -1,4 +1,4 @@
-"""What is learned: a module that moves a state by a time step, and knows no trainer."""
+"""Base class of learned dynamics: a module that propagates a state over a time step."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 
 class Dynamics(nn.Module, ABC):
-    """Map of a state and a time step to an increment of the state.
+    """Map from a state and a time step to the state's increment.
 
-    Dynamics that depend on time or on controls move extended states z (`ahnn.clock`), (B, 2 (n + k)), in the
-    place of x.
+    Dynamics that depend on time or controls propagate extended states z (`ahnn.clock`), (B, 2 (n + k)),
+    instead of x.
 
     Attributes:
         spec: plain values from which `make_dynamics` builds the same module, weights apart.
@@ -37,7 +37,7 @@ class Dynamics(nn.Module, ABC):
 
     @property
     def own_step(self) -> float | None:
-        """The only step that a map can take; None for dynamics that take any."""
+        """The fixed step of a map; None for dynamics that accept any step."""
         return None
 
     @abstractmethod
@@ -49,11 +49,11 @@ class Dynamics(nn.Module, ABC):
         """Return x(t + dt) - x(t), shape (B, D), predicted for the states x, shape (B, D)."""
 
     def seen(self, x: Tensor) -> Tensor:
-        """Return what the networks see of the states x, shape (..., D): (..., F), by default the states."""
+        """Return the network inputs, (..., F), for states x, (..., D); by default the states themselves."""
         return x
 
     def forward(self, x: Tensor, dt: TimeStep) -> Tensor:
-        """Return the states (B, D) that the states x, shape (B, D), reach after dt."""
+        """Propagate states x, shape (B, D), over dt; return (B, D)."""
         return x + self.increment(x, dt)
 
     def frozen(self) -> Dynamics:
@@ -73,8 +73,8 @@ class HasField(Protocol):
 def has_field(dynamics: object) -> TypeIs[HasField]:
     """Return whether dynamics have a field.
 
-    A protocol that is checked at run time would not find it: from Python 3.12 on these look past
-    `__getattr__`, by which a module of torch gives its parts.
+    A run-time protocol check would miss the field: from Python 3.12 on it bypasses `__getattr__`, through
+    which torch modules expose submodules.
     """
     return callable(getattr(dynamics, "field", None))
 

@@ -25,27 +25,27 @@ from ahnn.types import TimeStep
 
 
 class _Forward(nn.Module):
-    """A function of a module as a forward pass, which `functional_call` can parametrise."""
+    """Wrapper that makes a function of a module its forward pass, for `functional_call`."""
 
     def __init__(self, module: nn.Module, function: Callable[..., Tensor]) -> None:
         super().__init__()
         self.module = module
-        self.function = function.__call__  # a module would be a second name for parameters, wrongly put back
+        self.function = function.__call__  # as a module it would register the parameters twice
 
     def forward(self, *arguments: Any) -> Tensor:
         return self.function(*arguments)
 
 
 SWAPPED = threading.RLock()
-"""Held while a module has other parameters than its own, which parts side by side must not see."""
+"""Lock held while a module has substituted parameters, which parallel parts must not see."""
 
 
 def parametrised(
     module: nn.Module, function: Callable[..., Tensor], dtype: torch.dtype
 ) -> Callable[..., Tensor]:
-    """Return (theta, *arguments) -> function(*arguments), with theta as the module's parameters.
+    """Return (theta, *arguments) -> function(*arguments), with theta as parameters of the module.
 
-    Buffers are used in `dtype`, so that a float64 module can be evaluated in float32.
+    Buffers are cast to `dtype`, so that a float64 module can be evaluated in float32.
     """
     wrapped = _Forward(module, function)
     shapes = {name: p.shape for name, p in wrapped.named_parameters()}
@@ -64,14 +64,15 @@ def parametrised(
 FieldJacobian = Callable[..., Tensor]
 """(theta (P,), x (..., D), factors (..., D) or none) -> factors df/dtheta, shape (..., L, P).
 
-They are the last L components of the field f, which theta moves: all, or dp/dt alone where dq/dt is known.
+The rows are the last L components of the field f, those that depend on theta: all, or dp/dt where dq/dt is
+known.
 """
 IncrementJacobian = Callable[[Tensor, Tensor, TimeStep], tuple[Tensor, Tensor]]
-"""(theta (P,), x (B, D), dt) -> derivatives (B, D, P) and (B, D, D) of the increment by theta and by x."""
+"""(theta (P,), x (B, D), dt) -> derivatives of the increment in theta, (B, D, P), and x, (B, D, D)."""
 
 
 def field_jacobian(dynamics: HasField, dtype: torch.dtype = torch.float32) -> FieldJacobian:
-    """Return the Jacobian of the field, computed in `dtype`: in closed form where there is one."""
+    """Return the Jacobian of the field, computed in `dtype`, in closed form where available."""
     field = dynamics.field
     if isinstance(field, Forced) and has_separable_rows(field.hamiltonian) and knows_velocities(field):
         return forced_field_jacobian(field, dtype)
@@ -92,9 +93,9 @@ def field_jacobian(dynamics: HasField, dtype: torch.dtype = torch.float32) -> Fi
 
 
 def forced_field_jacobian(field: Forced, dtype: torch.dtype) -> FieldJacobian:
-    """Return the Jacobian of p^2 / 2m + V(q) in closed form, beside that of forces by reverse mode.
+    """Return the Jacobian of p^2 / 2m + V(q) in closed form, and of forces by reverse mode.
 
-    Velocities are known, so that no parameter of V moves a force.
+    Velocities are known, so that forces do not depend on parameters of V.
     """
     inner, clock = cast(SeparableHamiltonian, field.hamiltonian), field.clock
     count = sum(p.numel() for p in inner.parameters())
@@ -112,7 +113,7 @@ def forced_field_jacobian(field: Forced, dtype: torch.dtype) -> FieldJacobian:
         rows = separable_rows(inner, theta[:count], reduced(flat, clock), plain)
         if len(theta) > count:
             rows = torch.cat((rows, of_forces(theta[count:], flat, plain.chunk(2, dim=-1)[1])), dim=-1)
-        rows = nn.functional.pad(rows, (0, 0, 0, clock)) if clock else rows  # no parameter moves a clock
+        rows = nn.functional.pad(rows, (0, 0, 0, clock)) if clock else rows  # parameter-free clock
         return rows.unflatten(0, z.shape[:-1])
 
     return jacobian
@@ -139,12 +140,12 @@ def mapped_field_jacobian(dynamics: HasField, dtype: torch.dtype = torch.float32
 def mapped_jacobian(
     module: nn.Module, function: Callable[[Tensor], Tensor], dtype: torch.dtype = torch.float32
 ) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
-    """Return (theta (P,), x (B, D), factors (B, R)) -> factors df/dtheta, (B, R, P), of any function f.
+    """Return (theta (P,), x (B, D), factors (B, R)) -> factors df/dtheta, (B, R, P), for any function f.
 
     Args:
-        module: whose parameters theta stands for.
+        module: module whose parameters are theta.
         function: f, (B, D) -> (B, R), computed with the module.
-        dtype: of the computation.
+        dtype: dtype of the computation.
     """
     single = parametrised(module, function, dtype)
     rows = vmap(
@@ -160,7 +161,7 @@ def mapped_jacobian(
 def increment_jacobian(
     module: nn.Module, increment: Callable[[Tensor, TimeStep], Tensor], dtype: torch.dtype = torch.float32
 ) -> IncrementJacobian:
-    """Return the Jacobian of a step, computed with the module in `dtype`, by vectorised reverse mode."""
+    """Return the Jacobian of a step by vectorised reverse mode, computed in `dtype`."""
     single = parametrised(module, increment, dtype)
 
     def of_sample(theta: Tensor, x: Tensor, dt: TimeStep) -> Tensor:
@@ -176,6 +177,6 @@ def increment_jacobian(
 
 
 def knows_velocities(field: nn.Module) -> bool:
-    """Return whether no parameter moves dq/dt: T(p) is known."""
+    """Return whether dq/dt is independent of all parameters: T(p) is known."""
     inner = field.hamiltonian if isinstance(field, Forced) else field
     return isinstance(inner, SeparableHamiltonian) and not list(inner.kinetic.parameters())

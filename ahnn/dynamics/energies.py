@@ -1,4 +1,4 @@
-"""Parts of a Hamiltonian that depend on one block of the state, known or learned.
+"""Known or learned energies: parts of a Hamiltonian that depend on positions or on momenta.
 
 Each is a module with `fit` (constants from the training split), a value and a gradient.
 """
@@ -21,10 +21,10 @@ from ahnn.types import as_factor
 
 
 class Energy(Protocol):
-    """A function of the positions or of the momenta with its derivatives.
+    """Function of the positions or of the momenta, with derivatives.
 
-    `derivatives` is called of an energy that says `has_hessian`, `write_rows` of one that says `has_rows`;
-    reverse mode takes their place otherwise.
+    `derivatives` requires `has_hessian`, and `write_rows` requires `has_rows`; reverse mode replaces them
+    otherwise.
     """
 
     def fit(self, statistics: Statistics) -> None:
@@ -48,14 +48,14 @@ class Energy(Protocol):
         ...
 
     def seen(self, q: Tensor) -> Tensor:
-        """Return what its network sees of q, shape (..., F); F = 0 where nothing is learned."""
+        """Return the network inputs at q, shape (..., F); F = 0 where nothing is learned."""
         ...
 
 
 def energy_units(statistics: Statistics) -> tuple[Tensor, Tensor]:
-    """Return the sizes of V and T implied by the data: rms rate of one block times half range of the other.
+    """Return scales of V and T from the data: rms rate of one block times half the range of the other.
 
-    A network whose output is measured in these units has inputs, outputs and gradients of order one.
+    In these units a network has inputs, outputs and gradients of order one.
     """
     rate_q, rate_p = statistics.rate.chunk(2)
     half_q, half_p = ((statistics.maximum - statistics.minimum) / 2).chunk(2)
@@ -63,13 +63,13 @@ def energy_units(statistics: Statistics) -> tuple[Tensor, Tensor]:
 
 
 class NetworkEnergy(nn.Module):
-    """A network behind an input map, times an energy unit and, where it falls, (R / r)^k.
+    """Network of mapped inputs, times an energy unit and an optional decay (R / r)^k.
 
     Args:
         inputs: map from the physical block to the network's inputs.
         network: width, depth, activation.
         block: 0 for a function of the positions, 1 for one of the momenta.
-        falloff: k; 0 leaves open how the energy goes with the distance r from the origin.
+        falloff: decay exponent k with distance r from the origin; 0 for no prescribed decay.
     """
 
     unit: Tensor
@@ -86,7 +86,7 @@ class NetworkEnergy(nn.Module):
             self.register_buffer("nearest", torch.ones(()))
 
     def fit(self, statistics: Statistics) -> None:
-        """Set the input map, the energy in which the network's output is measured, and R."""
+        """Set the input map, the energy unit of the network's output, and R."""
         self.inputs.fit(statistics)
         self.unit.copy_(energy_units(statistics)[self.block])
         divide_units(self.network, (self.inputs,), statistics)
@@ -116,12 +116,12 @@ class NetworkEnergy(nn.Module):
 
     @property
     def has_hessian(self) -> bool:
-        """Whether the derivatives of the network are known in closed form."""
+        """Whether the network's derivatives are available in closed form."""
         return is_closed(self.network)
 
     @property
     def has_rows(self) -> bool:
-        """Whether those by its parameters are, too: of inputs none is learned."""
+        """Whether parameter derivatives are available in closed form: the inputs are not learned."""
         return is_closed(self.network) and not list(self.inputs.parameters())
 
     def derivatives(self, q: Tensor) -> tuple[Tensor, Tensor]:
@@ -131,8 +131,8 @@ class NetworkEnergy(nn.Module):
             value = self.network(self.inputs(q))
             weight, fall = self.envelope(q)  # w and f = grad log w = -k q / r^2
             square = q.square().sum(-1)[:, None, None]
-            bent = -self.falloff / square * torch.eye(q.shape[1]).to(q)  # df/dq, but for the change of r
-            bent = bent + (2 / self.falloff + 1) * fall.unsqueeze(-1) * fall.unsqueeze(-2)  # and f f^T
+            bent = -self.falloff / square * torch.eye(q.shape[1]).to(q)  # df/dq without the derivative of r
+            bent = bent + (2 / self.falloff + 1) * fall.unsqueeze(-1) * fall.unsqueeze(-2)  # plus f f^T
             cross = fall.unsqueeze(-1) * gradient.unsqueeze(-2)
             hessian = weight.unsqueeze(-1) * (hessian + cross + cross.mT + value.unsqueeze(-1) * bent)
             gradient = weight * (gradient + fall * value)
@@ -157,20 +157,20 @@ class NetworkEnergy(nn.Module):
 
 
 class Quadratic(nn.Module):
-    """The kinetic energy p^2 / 2m of a known mass, or of one for each coordinate."""
+    """Kinetic energy p^2 / 2m with a known mass, common or per coordinate."""
 
     has_hessian = has_rows = True
 
     def __init__(self, mass: float | Sequence[float]) -> None:
         super().__init__()
-        self.factor = as_factor(mass)  # no buffer: it keeps all its digits in any precision of the weights
+        self.factor = as_factor(mass)  # not a buffer: keeps full precision whatever the dtype of the weights
 
     def mass(self, like: Tensor) -> float | Tensor:
-        """Return m: a number, or (n,) of the type of a tensor."""
+        """Return m as a number, or as (n,) with the dtype of a tensor."""
         return self.factor.to(like) if isinstance(self.factor, Tensor) else self.factor
 
     def fit(self, statistics: Statistics) -> None:
-        """Nothing to set."""
+        """Do nothing: there are no constants to set."""
 
     def forward(self, p: Tensor) -> Tensor:
         """Return p^2 / 2m, shape (...)."""
@@ -187,20 +187,20 @@ class Quadratic(nn.Module):
         return self.gradient(p), (torch.eye(p.shape[1]).to(p) / self.mass(p)).expand(len(p), -1, -1)
 
     def write_rows(self, theta: Tensor, q: Tensor, factors: Tensor, out: Tensor) -> None:
-        """Nothing to write: no parameter moves it."""
+        """Do nothing: there are no parameters."""
 
     def seen(self, p: Tensor) -> Tensor:
-        """Return nothing, shape (..., 0)."""
+        """Return an empty tensor, shape (..., 0)."""
         return p[..., :0]
 
 
 class CentralBody(nn.Module):
-    """The potential -m mu / r of a body at the origin, plus a learned remainder.
+    """Potential -m mu / r of a body at the origin, plus a learned remainder.
 
     Args:
-        remainder: what a point mass does not explain; its unit is set to what is left of the data.
-        mass: m, of the moving body.
-        mu: gravitational parameter; None learns it, beginning with the median of what single forces say.
+        remainder: learned perturbation of the point mass; its unit is the residual force of the data.
+        mass: mass m of the moving body.
+        mu: gravitational parameter; None learns it, starting from the median of estimates from single forces.
     """
 
     def __init__(self, remainder: NetworkEnergy, mass: float, mu: float | None) -> None:
@@ -213,24 +213,25 @@ class CentralBody(nn.Module):
 
     @property
     def mu(self) -> Tensor | float:
-        """The gravitational parameter; a known one keeps all its digits in any precision of the weights."""
+        """Gravitational parameter; a known one keeps full precision whatever the dtype of the weights."""
         return self.log_mu.exp() if self.known_mu is None else self.known_mu
 
     def constants(self) -> dict[str, Tensor]:
-        """Return a learned mu."""
+        """Return mu if it is learned."""
         return {"mu": self.log_mu.exp()} if self.known_mu is None else {}
 
     def fit(self, statistics: Statistics) -> None:
         """Set mu, if it is learned, and the unit of the remainder from the sampled forces.
 
         Raises:
-            UserError: the data show no attraction.
+            UserError: the data contain no attractive force.
         """
         self.remainder.fit(statistics)
         q, rate = statistics.positions, statistics.forces
         attraction = -self.mass * q / q.norm(dim=-1, keepdim=True) ** 3
         if self.known_mu is None:
-            # The median: where an orbit is low, forces are large, and those read off noisy samples wrong.
+            # The median is robust: at low altitude forces are large, and estimates from noisy samples are
+            # wrong.
             mu = ((attraction * rate).sum(-1) / attraction.square().sum(-1)).median()
             if not mu > 0:
                 message = (
@@ -254,12 +255,12 @@ class CentralBody(nn.Module):
 
     @property
     def has_hessian(self) -> bool:
-        """Whether the derivatives of the remainder are known in closed form."""
+        """Whether the derivatives of the remainder are available in closed form."""
         return self.remainder.has_hessian
 
     @property
     def has_rows(self) -> bool:
-        """Whether those by its parameters are, too."""
+        """Whether derivatives with respect to its parameters are available in closed form."""
         return self.remainder.has_rows
 
     def derivatives(self, q: Tensor) -> tuple[Tensor, Tensor]:
@@ -277,5 +278,5 @@ class CentralBody(nn.Module):
         self.remainder.write_rows(theta, q, factors, out)
 
     def seen(self, q: Tensor) -> Tensor:
-        """Return what the remainder sees, shape (..., F)."""
+        """Return the network inputs of the remainder, shape (..., F)."""
         return self.remainder.seen(q)

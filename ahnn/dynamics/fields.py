@@ -1,4 +1,4 @@
-"""Dynamics that follow a vector field through a one-step integrator."""
+"""Dynamics defined by a vector field and a one-step integrator."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ahnn.types import TimeStep
 
 
 class NeuralField(nn.Module):
-    """dx/dt as a network, in units of the typical rate of each component.
+    """Network for dx/dt, in units of the typical rate of each component.
 
     Args:
         dof: degrees of freedom n.
@@ -58,7 +58,7 @@ class NeuralField(nn.Module):
 
 
 class IntegratedField(Dynamics):
-    """A field, and the one-step method that follows it."""
+    """Vector field integrated by a one-step method."""
 
     def __init__(self, field: nn.Module, integrator: dict[str, Any]) -> None:
         super().__init__()
@@ -71,7 +71,7 @@ class IntegratedField(Dynamics):
         cast(Any, self.field).fit(statistics)
 
     def seen(self, x: Tensor) -> Tensor:
-        """Return what the networks of the field see, shape (..., F)."""
+        """Return the network inputs of the field, shape (..., F)."""
         return cast(Any, self.field).seen(x)
 
     def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
@@ -104,28 +104,28 @@ FREE = (NetworkForce, AxialNetwork)
 MOVES = ("mechanical", "central_body", "pairs")
 """Hamiltonians whose kinetic energy is known: without the learned part they are a motion."""
 CENTRED = ("isotropic", "radial", "central_body", "perturbed_body")
-"""Inputs and Hamiltonians for which the origin is the centre of a force."""
+"""Input maps and Hamiltonians that assume a force centre at the origin."""
 
 
 @final
 class HamiltonianDynamics(IntegratedField):
-    """Hamilton's equations of a learned Hamiltonian.
+    """Hamilton's equations with a learned Hamiltonian.
 
     Args:
         dof: degrees of freedom n.
-        inertia: factor m of T = p^2 / 2m, used by `mechanical` and `central_body`; one for each coordinate
-            with `mechanical`.
+        inertia: factor m of T = p^2 / 2m, used by `mechanical` and `central_body`; a number, or one per
+            coordinate for `mechanical`.
         hamiltonian: generic, separable, mechanical, central_body, mass_matrix or pairs.
         mu: gravitational parameter of `central_body`; None learns it.
-        falloff: k of a learned V(q) = (R / r)^k N(q); 0 leaves open how it goes with the distance.
-        dimensions: coordinates of a body, for `pairs`.
+        falloff: k of a learned V(q) = (R / r)^k N(q); 0 for no prescribed decay with distance.
+        dimensions: number of coordinates of a body, for `pairs`.
         inputs: cartesian, isotropic or radial positions, or angles.
         scaling: minmax, block or none.
         network: width, depth, activation.
         integrator: `name` and options of the one-step method.
         angular: which coordinates are angles, for inputs=angles.
-        forces: beside the Hamiltonian, name -> options of `make_force`: friction, controls, known physics.
-        controls: m, numbers that forces may depend on.
+        forces: additional forces, name -> options of `make_force`: friction, controls, known physics.
+        controls: number m of controls on which forces may depend.
     """
 
     def __init__(
@@ -171,7 +171,7 @@ class HamiltonianDynamics(IntegratedField):
             silence(part)
 
     def _as_one(self, x: Tensor, dt: TimeStep) -> tuple[Layers, Scheme] | None:
-        """Return field and scheme where a step from states like x is one operation, else None."""
+        """Return field and scheme if a step from states like x is a single fused operation, else None."""
         field, method = self.field, self.integrator
         if not (isinstance(field, GenericHamiltonian) and isinstance(method, ExplicitRungeKutta)):
             return None
@@ -185,7 +185,7 @@ class HamiltonianDynamics(IntegratedField):
 
     @torch.no_grad()
     def in_c(self) -> bool:
-        """Return whether a training takes its steps in C."""
+        """Return whether training steps are computed in C."""
         found = self._as_one(next(self.parameters()), 1.0)
         if found is None:
             return False
@@ -193,8 +193,8 @@ class HamiltonianDynamics(IntegratedField):
         return native.applies(scheme, layers.leave, layers.tensors)
 
     def energy(self, x: Tensor) -> Tensor:
-        """Return H, shape (...), at the states x, shape (..., D); a constant is free.
+        """Return H, shape (...), at the states x, shape (..., D), up to a constant.
 
-        Potentials of forces that have one are part of it; it is conserved where all forces have one.
+        H includes the potentials of conservative forces, and is conserved if all forces are conservative.
         """
         return cast(Any, self.field).energy(x)

@@ -1,4 +1,4 @@
-"""A flow that depends on time, from an instant on: a map of plain states, as estimators take it."""
+"""Time-dependent flows bound to a start time, as maps of plain states for estimators."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ NO_TIME = "flow: expected the time at which a step begins, on which forces depen
 
 
 def at(flow: Flow, time: float | Tensor) -> Flow:
-    """Return a flow from an instant on; one that does not depend on time comes back as it is.
+    """Bind a flow to a start time; an autonomous flow is returned unchanged.
 
     Args:
         flow: any flow.
-        time: of the instant, or (B,) of one for each of B members.
+        time: start time, or (B,) start times of B members.
 
     Raises:
-        UserError: a flow with controls, which no clock tells.
+        UserError: a flow with controls, whose values are unknown.
     """
     if not clock_of(flow):
         return flow
@@ -36,17 +36,17 @@ def at(flow: Flow, time: float | Tensor) -> Flow:
 
 
 def _instant(time: float | Tensor) -> float | Tensor:
-    """Return one time as a number, times of members as they are."""
+    """Return a single time as a number, and times of members unchanged."""
     return time if isinstance(time, Tensor) and time.ndim else float(time)
 
 
 class Bound(NamedTuple):
-    """A flow of extended states, begun at one time with states of 2n components.
+    """Flow of extended states, bound to a start time and applied to states of 2n components.
 
     Attributes:
-        flow: which depends on time.
-        time: at which its steps begin, or (B,) of each member.
-        controls: values and rates there, (m,) each, or (B, m); None where it depends on time alone.
+        flow: time-dependent flow.
+        time: start time of its steps, or (B,) one per member.
+        controls: values and rates at that time, (m,) each, or (B, m); None for a flow without controls.
     """
 
     flow: Flow
@@ -54,7 +54,7 @@ class Bound(NamedTuple):
     controls: tuple[Tensor, Tensor] | None = None
 
     def clock(self, x: Tensor) -> Clock:
-        """Return the clock of states (B, 2n); raises UserError for controls that are not known."""
+        """Return the clock of states (B, 2n); raises UserError for unknown controls."""
         if clock_of(self.flow) > 1 and self.controls is None:
             message = (
                 "flow: expected forces of state and time in an estimator; received some of controls. "
@@ -83,10 +83,10 @@ class Bound(NamedTuple):
 
 
 def of_members(values: Tensor, count: int) -> Tensor:
-    """Return controls (m,) or (B, m) for `count` states, so many in a row for each of B members.
+    """Expand controls (m,) or (B, m) to `count` states, grouped by the B members.
 
     Raises:
-        UserError: states of another number of members.
+        UserError: a number of states that does not match the members.
     """
     if values.ndim == 1:
         return values.expand(count, -1)
@@ -97,11 +97,11 @@ def of_members(values: Tensor, count: int) -> Tensor:
 
 
 class Steered(NamedTuple):
-    """A flow whose controls are known over time: it depends on time alone.
+    """Flow with prescribed controls, which depends on time only.
 
     Attributes:
-        flow: with m controls.
-        controls: of all members, or of each.
+        flow: flow with m controls.
+        controls: table for all members, or one per member.
     """
 
     flow: Flow
@@ -109,35 +109,35 @@ class Steered(NamedTuple):
 
     @property
     def clock(self) -> int:
-        """1, time."""
+        """Number of clock coordinates: 1, time."""
         return 1
 
     def at(self, time: float | Tensor) -> Flow:
-        """Return the flow from an instant on; before the first sample and after the last these are held."""
+        """Bind the flow to a start time; outside the table the first or last controls apply."""
         times = self.controls.times
         near = NEAR * float(times[-1] - times[0])
         values, rates = self.controls.begun(times.new_tensor([float(time)]), near)
         return Bound(self.flow, float(time), (values[..., 0, :], rates[..., 0, :]))
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
-        """Return the states after dt, of a flow that was not told when; raises UserError."""
+        """Raise UserError: the start time is unknown."""
         del x, dt
         raise UserError(NO_TIME)
 
 
 def steered(flow: Flow, times: Numbers, controls: Numbers, *, linear: bool = False) -> Flow:
-    """Return a flow with controls that are known over time, as filters, smoothers and least squares take it.
+    """Bind a flow to prescribed controls, for filters, smoothers and least squares.
 
     Args:
-        flow: of learned or known dynamics with m controls, or what `wrapped` made of one.
+        flow: learned or known dynamics with m controls, or the result of `wrapped` for one.
         times: (T,) increasing.
         controls: (T, m), or (B, T, m) for B members; each held until the next sample.
-        linear: whether they are interpolated linearly instead.
+        linear: whether controls are interpolated linearly instead.
 
-    A step must not go beyond the next sample of a held control.
+    A step must not extend beyond the next sample of a held control.
 
     Raises:
-        UserError: a flow without controls, numbers of another shape, or some that are not finite.
+        UserError: a flow without controls, or controls of a wrong shape or not finite.
     """
     if isinstance(flow, Wrapped):
         return flow._replace(flow=steered(flow.flow, times, controls, linear=linear))
@@ -158,11 +158,11 @@ def steered(flow: Flow, times: Numbers, controls: Numbers, *, linear: bool = Fal
 
 
 class Wrapped(NamedTuple):
-    """A flow made of one that depends on time.
+    """Wrapper of a time-dependent flow.
 
     Attributes:
-        flow: which depends on time.
-        wrap: what makes the other of it.
+        flow: time-dependent flow.
+        wrap: function applied to the flow once it is bound to a time.
     """
 
     flow: Flow
@@ -170,19 +170,19 @@ class Wrapped(NamedTuple):
 
     @property
     def clock(self) -> int:
-        """Clock coordinates of the flow inside."""
+        """Number of clock coordinates of the wrapped flow."""
         return clock_of(self.flow)
 
     def at(self, time: float | Tensor) -> Flow:
-        """Return the flow from an instant on."""
+        """Bind the flow to a start time."""
         return self.wrap(at(self.flow, time))
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
-        """Return the states after dt, of a flow that was not told when; raises UserError."""
+        """Raise UserError: the start time is unknown."""
         del x, dt
         raise UserError(NO_TIME)
 
 
 def wrapped(flow: Flow, wrap: Callable[[Flow], Flow]) -> Flow:
-    """Return what is made of a flow, whether it depends on time or not."""
+    """Apply a wrapper to a flow, directly or, for time-dependent flows, once it is bound to a time."""
     return Wrapped(flow, wrap) if clock_of(flow) else wrap(flow)

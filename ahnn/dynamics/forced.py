@@ -1,6 +1,6 @@
-"""Hamilton's equations with forces beside them: friction, controls, forcing, what is known of the physics.
+"""Hamilton's equations with additional forces: friction, controls, forcing, known physics.
 
-dq/dt = dH/dp, dp/dt = -dH/dq + sum of forces f(t, q, v, u) with v = dq/dt. With f = -R v + G u that is a
+dq/dt = dH/dp, dp/dt = -dH/dq + sum of forces f(t, q, v, u) with v = dq/dt. With f = -R v + G u this is a
 port-Hamiltonian system, whose energy changes by dH/dt = -v^T R v + v^T G u (van der Schaft & Jeltsema 2014).
 """
 
@@ -19,7 +19,7 @@ from ahnn.statistics import Statistics
 
 
 def clock_size(forces: Iterable[Force], controls: int) -> int:
-    """Return k, how many clock coordinates forces need: 0, 1 for time, 1 + m for controls."""
+    """Return k, the number of clock coordinates of forces: 0, 1 for time, 1 + m for controls."""
     some = [*forces]
     if any(force.controlled for force in some):
         return 1 + controls
@@ -27,7 +27,7 @@ def clock_size(forces: Iterable[Force], controls: int) -> int:
 
 
 def total(forces: Iterable[Force], at: Instant) -> Tensor:
-    """Return the sum of forces, one at least, shape (..., n)."""
+    """Return the sum of one or more forces, shape (..., n)."""
     return cast(Tensor, sum(force(at) for force in forces))
 
 
@@ -36,9 +36,9 @@ def forced(hamiltonian: Callable[[Tensor], Tensor], forces: Iterable[Force], z: 
 
     Args:
         hamiltonian: x -> (dH/dp, -dH/dq), shape (..., 2n).
-        forces: beside it.
+        forces: additional forces.
         z: extended states, shape (..., 2 (n + k)).
-        clock: k.
+        clock: number k of clock coordinates.
     """
     q, c, p, rates = split(z, clock)
     v, pull = hamiltonian(torch.cat((q, p), dim=-1)).chunk(2, dim=-1)
@@ -47,13 +47,13 @@ def forced(hamiltonian: Callable[[Tensor], Tensor], forces: Iterable[Force], z: 
 
 
 class Forced(nn.Module):
-    """The field of a learned Hamiltonian and forces, on extended states.
+    """Vector field of a learned Hamiltonian with forces, on extended states.
 
     Args:
-        hamiltonian: the field of H alone.
+        hamiltonian: field of H without forces.
         forces: name -> options of `make_force`.
         dof: degrees of freedom n.
-        controls: m.
+        controls: number m of controls.
     """
 
     def __init__(
@@ -72,12 +72,12 @@ class Forced(nn.Module):
 
     @property
     def known(self) -> list[Force]:
-        """The forces of which nothing is learned."""
+        """Forces without learned parameters."""
         return [force for force in self.parts if not [*force.parameters()]]
 
     @property
     def forces_work(self) -> bool:
-        """Whether a force has no potential, so that the energy is not conserved."""
+        """Whether some force has no potential, so that energy is not conserved."""
         q = torch.zeros(1, self.dof, dtype=torch.float64)
         at = Instant(q[:, :0], q[:, :0], q, q)
         return any(force.potential(at) is None for force in self.parts)
@@ -95,11 +95,11 @@ class Forced(nn.Module):
         cast(Any, self.hamiltonian).fit(left)
 
     def seen(self, x: Tensor) -> Tensor:
-        """Return what the networks of H see of the states x, shape (..., 2n): (..., F)."""
+        """Return the network inputs of H, (..., F), at the states x, shape (..., 2n)."""
         return cast(Any, self.hamiltonian).seen(x)
 
     def energy(self, x: Tensor) -> Tensor:
-        """Return H and the potentials of forces that have one, shape (...), at the states x, (..., 2n)."""
+        """Return H plus the potentials of conservative forces, shape (...), at the states x, (..., 2n)."""
         q, nothing = x.chunk(2, dim=-1)[0], x[..., :0]
         value = cast(Any, self.hamiltonian).energy(x)
         at = Instant(nothing, nothing, q, torch.zeros_like(q))
@@ -110,7 +110,7 @@ class Forced(nn.Module):
         """Return dz/dt, shape (..., 2 (n + k)), at extended states z.
 
         Raises:
-            UserError: states without a clock, of dynamics that depend on it.
+            UserError: states without a clock, for dynamics that depend on it.
         """
         if z.shape[-1] != 2 * (self.dof + self.clock):
             needed = "time and controls" if self.clock > 1 else "time"

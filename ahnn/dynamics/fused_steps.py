@@ -1,7 +1,7 @@
-"""Explicit Runge-Kutta steps along the gradient of a network as one operation of autograd.
+"""Explicit Runge-Kutta steps along a network's gradient as a single autograd operation.
 
-The reverse of a step is written out, stage by stage, around the reverse of the gradient. Between states and
-parameters autograd then has one node for each step in place of several hundred.
+The backward pass of a step is written out, stage by stage, around that of the gradient. Autograd then records
+one node per step instead of several hundred.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from ahnn.integrators.tableaus import EULER
 
 
 def applies(activation: Activation, x: Tensor) -> bool:
-    """Return whether plain tensors meet an activation with kernels.
+    """Return whether all tensors are plain and the activation has kernels.
 
-    Transforms of functions (torch.func), graphs and autocast need operations that they can see through.
+    Function transforms (torch.func), graph capture and autocast need elementary operations.
     """
     return (
         activation.kernels is not None
@@ -44,8 +44,8 @@ def step(x: Tensor, layers: Layers, scheme: Scheme) -> Tensor:
 
     Args:
         x: states, (B, D).
-        layers: of f, as `gradients` has it.
-        scheme: h is a number or a (B, 1) tensor.
+        layers: layers of f, as in `gradients`.
+        scheme: method and step h, a number or a (B, 1) tensor.
     """
     tensors = layers.tensors
     if torch.is_grad_enabled() and isinstance(scheme.h, Tensor) and scheme.h.requires_grad:
@@ -65,7 +65,7 @@ def step(x: Tensor, layers: Layers, scheme: Scheme) -> Tensor:
 
 
 def plain_step(x: Tensor, layers: Layers, scheme: Scheme) -> Tensor:
-    """Return the same increment by single operations, which autograd follows as often as it likes."""
+    """Return the same increment by elementary operations, differentiable to any order."""
     slopes: list[Tensor] = []
     for row in ((), *scheme.tableau.a):
         slopes.append(plain_gradient(moved(x, row, slopes, scheme.h), layers, scheme.activation))
@@ -73,12 +73,12 @@ def plain_step(x: Tensor, layers: Layers, scheme: Scheme) -> Tensor:
 
 
 def _by_columns(x: Tensor) -> Tensor:
-    """Return x, (B, D), in the order that fields come in."""
+    """Return x, (B, D), in the memory order of fields."""
     return x.T.contiguous().T
 
 
 def combined(weights: tuple[float, ...], slopes: list[Tensor], h: float | Tensor) -> Tensor:
-    """Return h sum_i weights_i slopes_i without touching slopes of zero weight."""
+    """Return h sum_i weights_i slopes_i, skipping slopes of zero weight."""
     (first, slope), *others = [(w, k) for w, k in zip(weights, slopes, strict=True) if w != 0.0]
     by = 1.0 if isinstance(h, Tensor) else h
     total = slope * (first * by)
@@ -98,7 +98,7 @@ def moved(x: Tensor, weights: tuple[float, ...], slopes: list[Tensor], h: float 
 
 
 def layers_of(tensors: Sequence[Tensor]) -> Layers:
-    """Return the layers that these are the `tensors` of."""
+    """Rebuild layers from their `tensors`."""
     depth = len(tensors) // 2 - 1
     return Layers(list(tensors[:depth]), list(tensors[depth:-2]), *tensors[-2:])
 
@@ -131,7 +131,7 @@ class _Step(Function):
         x, *tensors = ctx.saved_tensors
         scheme, v = ctx.scheme, cotangents[0]
         plain = native.applies(scheme, v, (*tensors, x)) if ctx.native else torch._C._has_storage(v)
-        if torch.is_grad_enabled() or not plain:  # it shall itself have a graph, or is one of several at once
+        if torch.is_grad_enabled() or not plain:  # double backward, or one of several vectorised passes
             with torch.enable_grad():
                 return None, *_differentiable(ctx, v, (x, *tensors))
         if ctx.native:
@@ -140,7 +140,7 @@ class _Step(Function):
             return None, moved_by, *sums
         layers, (a, b), h = layers_of(tensors), scheme.tableau, scheme.h
         sums, total = layers.zeros(), torch.zeros_like(x)
-        later: list[Tensor] = [v]  # that of the increment, then those of the stages from the last
+        later: list[Tensor] = [v]  # gradient of the increment, then of the stages in reverse order
         for i in reversed(range(len(b))):
             column = (b[i], *(row[i] for row in reversed(a[i:])))
             if not any(column):
@@ -153,8 +153,8 @@ class _Step(Function):
 
 
 def _differentiable(ctx: Any, v: Tensor, inputs: tuple[Tensor, ...]) -> list[Tensor | None]:
-    """Return v . d(increment)/d(inputs), with a graph; None for inputs that ask for none."""
-    inputs = tuple(t.view_as(t) for t in inputs)  # one may be made from another, which is not asked here
+    """Return v . d(increment)/d(inputs), with a graph; None for inputs that require no gradient."""
+    inputs = tuple(t.view_as(t) for t in inputs)  # inputs may depend on one another, which is ignored here
     asked = [t for t, needed in zip(inputs, ctx.needs_input_grad[1:], strict=True) if needed]
     increment = plain_step(inputs[0], layers_of(inputs[1:]), ctx.scheme)
     found = iter(torch.autograd.grad(increment, asked, v, create_graph=True, allow_unused=True))

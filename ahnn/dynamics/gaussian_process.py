@@ -1,14 +1,14 @@
-"""A Gaussian process in a finite basis, in the place of a network.
+"""Gaussian process in a finite Fourier basis, as a replacement for a network.
 
-A process N ~ GP(0, k) with k(z, z') = s^2 exp(-sum_f (z_f - z'_f)^2 / 2 l_f^2) is, for many frequencies
-xi_k that are drawn from N(0, I) and stay (Rahimi & Recht 2007, NeurIPS),
+A process N ~ GP(0, k) with k(z, z') = s^2 exp(-sum_f (z_f - z'_f)^2 / 2 l_f^2) is approximated with many
+fixed frequencies xi_k drawn from N(0, I) (Rahimi & Recht 2007, NeurIPS):
 
     N(z) = sum_k a_k cos(xi_k . z / l) + b_k sin(xi_k . z / l),    a_k, b_k ~ N(0, s^2 / K)
 
-so that a Hamiltonian, and the field J grad H that follows from it in closed form, are linear in the weights
-a and b (Tanaka, Iwata & Ueda 2022, NeurIPS; Ross & Heinonen 2023, TMLR). The cosine is a sine with a phase:
-this is a layer of waves behind which a network is one as any other. The prior on the weights is that of
-`ahnn.training.evidence` with the strength K / s^2, and the evidence finds the amplitude s.
+A Hamiltonian, and its field J grad H in closed form, are then linear in the weights a and b (Tanaka, Iwata &
+Ueda 2022, NeurIPS; Ross & Heinonen 2023, TMLR). The cosine is a sine with a phase: this is a network whose
+hidden layer consists of waves. The prior on the weights is that of `ahnn.training.evidence` with
+precision K / s^2, and maximum evidence determines the amplitude s.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ from ahnn.dynamics.layered import Network
 from ahnn.memory import require_memory
 
 BEGIN = 2.0
-"""Lengths that a training begins with: the range of scaled states. Data shorten lengths that are too long; of
-those that are too short, weights without a prior, as they are until the last steps, fit the noise.
+"""Initial length scales: the range of scaled states. Data shorten lengths that are too long; with lengths
+that are too short, weights without a prior, as before the last steps, fit the noise.
 """
 
 
 class Waves(nn.Module):
-    """The layer z -> (xi_k . z / l + pi/2, xi_k . z / l), whose sines are K cosines and K sines.
+    """Layer z -> (xi_k . z / l + pi/2, xi_k . z / l), whose sines are K cosines and K sines.
 
-    The frequencies are quasi-random: they cover N(0, I) more evenly than random ones, and the kernel that
-    they make is as much closer to its limit (Avron, Sindhwani, Yang & Mahoney 2016, JMLR 17, 1).
+    The frequencies are quasi-random: they cover N(0, I) more evenly than random ones, and their kernel is
+    correspondingly closer to its limit (Avron, Sindhwani, Yang & Mahoney 2016, JMLR 17, 1).
 
     Args:
-        inputs: F.
-        count: K.
+        inputs: number of inputs F.
+        count: number of frequencies K.
 
     Attributes:
         frequencies: xi, (K, F).
-        free: (K, 1), 1 for frequencies that follow the lengths; 0 for those of copies that
-            `ahnn.dynamics.linearised` sets beside them.
-        phases: pi/2 and 0, in turn, (2K,).
+        free: (K, 1), 1 for frequencies scaled by the learned lengths; 0 for the copies added by
+            `ahnn.dynamics.linearised`.
+        phases: pi/2 and 0, alternating, (2K,).
     """
 
     frequencies: Tensor
@@ -65,23 +65,23 @@ class Waves(nn.Module):
         self.register_buffer("phases", phases, persistent=False)
 
     def weight_at(self, log_lengths: Tensor) -> Tensor:
-        """Return xi / l, each row twice, shape (2K, F), for logarithms of lengths, (F,)."""
+        """Return xi / l, each row repeated, shape (2K, F), for log lengths, (F,)."""
         return (self.frequencies * (-self.free * log_lengths).exp()).repeat_interleave(2, 0)
 
     @torch.no_grad()
     def hold(self) -> None:
-        """Keep the lengths as they are from now on: no step of parameters moves them."""
+        """Freeze the lengths: later parameter updates leave them unchanged."""
         self.frequencies.copy_(self.weight[::2])
         self.free.zero_()
 
     @property
     def weight(self) -> Tensor:
-        """The matrix xi / l, each row twice, shape (2K, F)."""
+        """Matrix xi / l, each row repeated, shape (2K, F)."""
         return self.weight_at(self.log_lengths)
 
     @property
     def bias(self) -> Tensor:
-        """The phases pi/2 and 0, in turn, shape (2K,)."""
+        """Phases pi/2 and 0, alternating, shape (2K,)."""
         return self.phases
 
     def forward(self, z: Tensor) -> Tensor:
@@ -92,13 +92,13 @@ class Waves(nn.Module):
 @final
 @checked
 class GaussianProcess(Network):
-    """Independent Gaussian processes of zero mean, one for each output, with the same length of each input.
+    """Independent zero-mean Gaussian processes, one per output, with shared lengths of the inputs.
 
     The parameters are the logarithms of the lengths, (F,), and the weights, (outputs, 2K).
 
     Args:
         inputs, outputs: sizes of the first and last layer.
-        width: K, frequencies, each with a cosine and a sine.
+        width: number K of frequencies, each with a cosine and a sine.
         depth: 1.
         activation: fourier.
     """
@@ -123,7 +123,7 @@ class GaussianProcess(Network):
     def write_rows(
         self, theta: Tensor, z: Tensor, slopes: Tensor, values: Tensor | None, out: Tensor
     ) -> None:
-        """Write the derivatives of t . dN/dz + v N by log l and the weights; see `Network`.
+        """Write the derivatives of t . dN/dz + v N with respect to log l and the weights; see `Network`.
 
         With phases p_j = W_j . z, W = xi / l: N = sum w_j sin p_j, dW_jf / dlog l_f = -W_jf.
         """

@@ -9,12 +9,12 @@ from ahnn.dynamics.symplectic_map import Conformal, Layers, Shear, SymplecticMap
 
 @final
 class GeneralisedHNN(SymplecticMap):
-    """Steps of the symplectic Euler method along separable Hamiltonians T_i(p) + V_i(q), one after the other.
+    """Composition of symplectic Euler steps along separable Hamiltonians T_i(p) + V_i(q).
 
     Args:
         dof: degrees of freedom n.
         scaling: block or none.
-        layers: Hamiltonians.
+        layers: number of Hamiltonians.
         network: width, depth, activation of each T_i and V_i.
     """
 

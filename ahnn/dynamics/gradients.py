@@ -1,11 +1,12 @@
-"""The gradient of a perceptron and its reverse, both written out: no autograd between input and parameters.
+"""Input gradient of a perceptron and its backward pass in closed form, without autograd.
 
 For a network N with hidden layers a_l = sigma(z_l), z_l = W_l a_{l-1} + b_l, the gradient is the transposed
-pass delta_l = u_l sigma'(z_l), u_{l-1} = delta_l W_l, that begins with u_L, the weights of the output, and
-leaves by a matrix E: f = delta_1 E. With E = W_1 it is grad N; other matrices scale and turn it on the way.
+pass delta_l = u_l sigma'(z_l), u_{l-1} = delta_l W_l, which starts from u_L, the output weights, and ends
+with a matrix E: f = delta_1 E. E = W_1 gives grad N; other matrices include a scaling and rotation.
 
-The reverse follows from v . grad N being the derivative of N along v: a pass of tangents upwards, then the
-usual one downwards, with the curvature sigma'' where both meet (Pearlmutter 1994, Neural Comp. 6, 147).
+The backward pass follows from v . grad N being the directional derivative of N along v: a forward pass of
+tangents, then the usual backward pass, coupled by the curvature sigma''
+(Pearlmutter 1994, Neural Comp. 6, 147).
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ from ahnn.dynamics.activations import Activation, Kernels
 
 
 class Layers(NamedTuple):
-    """Parameters of a scalar network as its gradient uses them, or their gradients; H units, F inputs.
+    """Parameters of a scalar network for its input gradient, or their gradients; H units, F inputs.
 
     Attributes:
-        weights: of the hidden layers, (H, F), then (H, H).
-        biases: of the hidden layers, (H,).
-        last: of the output, (H,).
-        leave: E, (H, F), by which the gradient leaves.
+        weights: weights of the hidden layers, (H, F), then (H, H).
+        biases: biases of the hidden layers, (H,).
+        last: weights of the output, (H,).
+        leave: final matrix E of the gradient, (H, F).
     """
 
     weights: list[Tensor]
@@ -36,18 +37,18 @@ class Layers(NamedTuple):
 
     @property
     def tensors(self) -> tuple[Tensor, ...]:
-        """Weights, biases, last and leave."""
+        """All tensors: weights, biases, last and leave."""
         return (*self.weights, *self.biases, self.last, self.leave)
 
     def zeros(self) -> Layers:
-        """Return zeros for gradients, matrices transposed: (F, H), as `reverse` adds to them."""
+        """Return zero gradients, matrices transposed to (F, H), the layout in which `reverse` accumulates."""
         weights = [torch.zeros_like(w.T) for w in self.weights]
         biases = [torch.zeros_like(b) for b in self.biases]
         return Layers(weights, biases, torch.zeros_like(self.last), torch.zeros_like(self.leave.T))
 
 
 class LayerRecord(NamedTuple):
-    """What the reverse needs of one hidden layer.
+    """Intermediate values of one hidden layer for the backward pass.
 
     Attributes:
         entered: a_{l-1}, (B, F) or (B, H).
@@ -63,7 +64,7 @@ class LayerRecord(NamedTuple):
 
 
 def plain_gradient(x: Tensor, layers: Layers, activation: Activation) -> Tensor:
-    """Return f, shape (..., F), at the inputs x, shape (..., F), by operations that autograd follows."""
+    """Return f, shape (..., F), at the inputs x, shape (..., F), by differentiable operations."""
     slopes = []
     for weight, bias in zip(layers.weights, layers.biases, strict=True):
         x, slope = activation.value_and_slope(F.linear(x, weight, bias))
@@ -75,7 +76,7 @@ def plain_gradient(x: Tensor, layers: Layers, activation: Activation) -> Tensor:
 
 
 def _upwards(x: Tensor, layers: Layers, kernels: Kernels) -> tuple[list[Tensor], list[Tensor]]:
-    """Return a_{l-1} and y_l of each hidden layer, y as the kernels of the activation want it."""
+    """Return a_{l-1} and y_l of each hidden layer, with y as defined by the activation's kernels."""
     entered, seen = [], []
     last = len(layers.weights) - 1
     for k, (weight, bias) in enumerate(zip(layers.weights, layers.biases, strict=True)):
@@ -97,7 +98,7 @@ def gradient(x: Tensor, layers: Layers, kernels: Kernels) -> Tensor:
 
 
 def recorded_gradient(x: Tensor, layers: Layers, kernels: Kernels) -> tuple[Tensor, list[LayerRecord]]:
-    """Return f, shape (B, F), at the inputs x, shape (B, F), and what `reverse` needs of each layer."""
+    """Return f, shape (B, F), at the inputs x, shape (B, F), and the layer records for `reverse`."""
     entered, seen = _upwards(x, layers, kernels)
     ones = torch.ones_like(seen[-1])
     records: list[LayerRecord] = []
@@ -114,9 +115,9 @@ def reverse(v: Tensor, records: list[LayerRecord], layers: Layers, sums: Layers)
 
     Args:
         v: (B, F), gradient of a scalar with respect to f.
-        records: of `recorded_gradient`.
-        layers: what it was given.
-        sums: gradients of the same scalar with respect to the parameters, begun by `layers.zeros()`.
+        records: result of `recorded_gradient`.
+        layers: layers passed to it.
+        sums: accumulated gradients of the scalar with respect to the parameters, initially `layers.zeros()`.
     """
     sums.leave.addmm_(v.T, records[0].delta)
     along, bends = torch.mm(v, layers.leave.T), []
@@ -137,5 +138,5 @@ def reverse(v: Tensor, records: list[LayerRecord], layers: Layers, sums: Layers)
 
 
 def _narrow(x: Tensor, matrix: Tensor) -> Tensor:
-    """Return x @ matrix, by columns: where the result has few of them, BLAS takes a third of the time."""
+    """Return x @ matrix in column-major order: with few columns BLAS takes a third of the time."""
     return torch.mm(matrix.T, x.T).T

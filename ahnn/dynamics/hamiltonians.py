@@ -1,8 +1,8 @@
-"""Learned Hamiltonians: how much of H is assumed, and the field that follows from it.
+"""Learned Hamiltonians of different structure, and their vector fields.
 
-Each is a field x -> J grad H(x) with the gradient taken with respect to the physical state, so Hamilton's
-equations hold exactly whatever scaling its networks use. The separable ones offer `velocity` and `force` and
-may be integrated by symplectic compositions.
+Each is a field x -> J grad H(x) with the gradient with respect to the physical state, so Hamilton's equations
+hold exactly for any scaling of network inputs. Separable Hamiltonians provide `velocity` and `force` for
+symplectic composition methods.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Structure = Literal["generic", "separable", "mechanical", "central_body", "mass_
 
 
 class GenericHamiltonian(ScaledStates):
-    """H(q, p) from one network: nothing is assumed.
+    """H(q, p) as a single network, without structural assumptions.
 
     The arguments are those of `ScaledStates`, and width, depth and activation of the network.
     """
@@ -59,7 +59,7 @@ class GenericHamiltonian(ScaledStates):
 
     @property
     def has_hessian(self) -> bool:
-        """Whether the derivatives of the network are known in closed form."""
+        """Whether the network's derivatives are available in closed form."""
         return is_closed(self.network)
 
     def derivatives(self, x: Tensor) -> tuple[Tensor, Tensor]:
@@ -73,10 +73,10 @@ class GenericHamiltonian(ScaledStates):
         return self.unit * self.network(self.seen(x)).squeeze(-1)
 
     def layers(self, x: Tensor) -> Layers | None:
-        """Return the network with scaling and J taken into its first layer, so that the field is delta_1 E.
+        """Return the network with scaling and J included in its first layer, so that its field is delta_1 E.
 
-        None where the positions do not enter by an affine map, the energy is no such network, or the states x
-        meet what needs single operations.
+        Returns None if the positions enter by a non-affine map, the energy is not such a network, or
+        computations with the states x need elementary operations.
         """
         positions, network = self.positions, self.network
         if not (isinstance(positions, Cartesian) and isinstance(network, Network)):
@@ -91,7 +91,7 @@ class GenericHamiltonian(ScaledStates):
             [first, *inner.weights[1:]],
             [torch.addmv(inner.biases[0], first, shift, alpha=-1), *inner.biases[1:]],
             inner.last,
-            first.roll(len(shift) // 2, 1) * signed,  # (dH/dp, -dH/dq) in place of (dH/dq, dH/dp)
+            first.roll(len(shift) // 2, 1) * signed,  # (dH/dp, -dH/dq) instead of (dH/dq, dH/dp)
         )
 
     def forward(self, x: Tensor) -> Tensor:
@@ -106,7 +106,7 @@ class GenericHamiltonian(ScaledStates):
 
 
 class SeparableHamiltonian(nn.Module):
-    """H = T(p) + V(q) from a kinetic and a potential energy, each known or learned."""
+    """H = T(p) + V(q) with kinetic and potential energy each known or learned."""
 
     def __init__(self, kinetic: nn.Module, potential: nn.Module) -> None:
         super().__init__()
@@ -114,17 +114,17 @@ class SeparableHamiltonian(nn.Module):
 
     @property
     def energies(self) -> tuple[Energy, Energy]:
-        """T and V."""
+        """The energies T and V."""
         return cast(Energy, self.kinetic), cast(Energy, self.potential)
 
     @property
     def has_hessian(self) -> bool:
-        """Whether the Hessians of T and V are known in closed form."""
+        """Whether the Hessians of T and V are available in closed form."""
         return all(getattr(energy, "has_hessian", False) for energy in self.energies)
 
     @property
     def has_rows(self) -> bool:
-        """Whether the derivatives of the field by its parameters are known in closed form."""
+        """Whether the field's derivatives with respect to its parameters are available in closed form."""
         return all(getattr(energy, "has_rows", False) for energy in self.energies)
 
     def fit(self, statistics: Statistics) -> None:
@@ -138,7 +138,7 @@ class SeparableHamiltonian(nn.Module):
         return self.kinetic(p) + self.potential(q)
 
     def seen(self, x: Tensor) -> Tensor:
-        """Return what the learned parts see, shape (..., F)."""
+        """Return the inputs of the learned energies, shape (..., F)."""
         q, p = x.chunk(2, dim=-1)
         kinetic, potential = self.energies
         return torch.cat((potential.seen(q), kinetic.seen(p)), dim=-1)
@@ -174,24 +174,24 @@ def make_hamiltonian(
     network: dict[str, Any],
     angular: list[bool] | None = None,
 ) -> Hamiltonian:
-    """Return the learned Hamiltonian of a structure.
+    """Build a learned Hamiltonian of a given structure.
 
     Args:
         structure: `generic` H(q, p), `separable` T(p) + V(q), `mechanical` p^2 / 2m + V(q), `central_body`
-            p^2 / 2m - m mu / r + V(q), `mass_matrix` p^T M(q)^{-1} p / 2 + V(q), or `pairs`, p^2 / 2m and
-            a potential of the distances of bodies.
+            p^2 / 2m - m mu / r + V(q), `mass_matrix` p^T M(q)^{-1} p / 2 + V(q), or `pairs`, p^2 / 2m and a
+            potential of the distances between bodies.
         dof: degrees of freedom n.
-        mass: of `mechanical` and `pairs`, for which it may be one for each coordinate, and of `central_body`.
+        mass: mass of `mechanical` and `pairs`, common or per coordinate, and of `central_body`.
         mu: gravitational parameter of `central_body`; None learns it.
-        falloff: k of a learned V(q) = (R / r)^k N(q); 0 leaves open how it goes with the distance.
-        dimensions: coordinates of a body, for `pairs`.
-        inputs: cartesian, isotropic, radial or angles, for the positions.
+        falloff: k of a learned V(q) = (R / r)^k N(q); 0 for no prescribed decay with distance.
+        dimensions: number of coordinates of a body, for `pairs`.
+        inputs: input map of the positions: cartesian, isotropic, radial or angles.
         scaling: minmax, block or none.
         network: width, depth, activation.
         angular: which coordinates are angles.
 
     Raises:
-        UserError: unknown structure, mu or falloff for a structure without them, or out of range.
+        UserError: unknown structure, an option that the structure does not have, or a value out of range.
     """
     require_options(structure, dof, mu, falloff, dimensions)
     if dimensions is not None:
@@ -218,7 +218,7 @@ def make_hamiltonian(
 def require_options(
     structure: Structure, dof: int, mu: float | None, falloff: float, dimensions: int | None
 ) -> None:
-    """Refuse options that a structure has not, or does not go without; raises UserError."""
+    """Raise UserError for options that a structure does not have, or requires and lacks."""
     if mu is not None and structure != "central_body":
         message = f"mu: expected None, since {structure} has no central body; received {mu}"
         raise UserError(message)

@@ -1,4 +1,4 @@
-"""HénonNets (Burby, Tang & Maulik 2021, Plasma Phys. Control. Fusion 63, 024001), written from the paper."""
+"""HénonNets (Burby, Tang & Maulik 2021, Plasma Phys. Control. Fusion 63, 024001), after the paper."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class HenonLayer(SymplecticLayer):
     """Four times the Hénon map (q, p) -> (p + eta, -q + grad V(p)), which is the identity for V = 0.
 
     Args:
-        dof: n.
+        dof: degrees of freedom n.
         network: width, depth, activation of V.
     """
 
@@ -24,9 +24,9 @@ class HenonLayer(SymplecticLayer):
         self.potential, self.shift = make_network(dof, 1, network), nn.Parameter(torch.zeros(dof))
 
     def forward(self, q: Tensor, p: Tensor) -> Moves:
-        """Return what is added to positions q and momenta p, (B, n) each.
+        """Return the increments of positions q and momenta p, (B, n) each.
 
-        Written out, the four maps add differences of gradients: g_2 - g_0 to q and g_3 - g_1 to p.
+        The composition of four maps adds gradient differences: g_2 - g_0 to q and g_3 - g_1 to p.
         """
         gradients = []
         x, y = q, p
@@ -38,12 +38,12 @@ class HenonLayer(SymplecticLayer):
 
 @final
 class HenonNet(SymplecticMap):
-    """A HénonNet.
+    """HénonNet: a composition of Hénon layers.
 
     Args:
         dof: degrees of freedom n.
         scaling: block or none.
-        layers: of four maps each.
+        layers: number of layers of four maps each.
         network: width, depth, activation of each potential.
     """
 

@@ -1,6 +1,6 @@
-"""Gradients and Hessians of networks behind input maps, in closed form: the parts that energies add up.
+"""Closed-form gradients and Hessians of networks composed with input maps.
 
-Of E(x) = u N(z(x)): dz/dx^T N_zz dz/dx, and the change of dz/dx along the gradient of N.
+The Hessian of E(x) = u N(z(x)) is dz/dx^T N_zz dz/dx plus the derivative of dz/dx contracted with grad N.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from ahnn.dynamics.parameter_jacobians import curvature
 
 
 class Inputs(Protocol):
-    """A map z(x) whose derivatives are known."""
+    """Input map z(x) with known derivatives."""
 
     def linearised(self, x: Tensor, /) -> tuple[Tensor, Pullback]:
-        """Return z at x and the way back of gradients from there."""
+        """Return z at x and the pullback of gradients at that point."""
         ...
 
     def curvature(self, x: Tensor, gradient: Tensor, /) -> Tensor:
-        """Return the second derivative of z along the gradient with respect to it, (B, D, D)."""
+        """Return the second derivative of z contracted with the gradient with respect to z, (B, D, D)."""
         ...
 
 
 class BothInputs(NamedTuple):
-    """Input maps of positions and momenta as one of states."""
+    """Input maps of positions and momenta combined into one of states."""
 
     positions: InputMap
     momenta: Cartesian
 
     def linearised(self, x: Tensor) -> tuple[Tensor, Pullback]:
-        """Return z at x and the way back of gradients from there."""
+        """Return z at x and the pullback of gradients at that point."""
         q, p = x.chunk(2, dim=-1)
         (seen_q, back_q), (seen_p, back_p) = self.positions.linearised(q), self.momenta.linearised(p)
         split = seen_q.shape[-1]
@@ -46,7 +46,7 @@ class BothInputs(NamedTuple):
         return torch.cat((seen_q, seen_p), dim=-1), pullback
 
     def curvature(self, x: Tensor, gradient: Tensor) -> Tensor:
-        """Return the second derivative of z along the gradient with respect to it, (B, D, D)."""
+        """Return the second derivative of z contracted with the gradient with respect to z, (B, D, D)."""
         n = x.shape[-1] // 2
         found = x.new_zeros(*x.shape, 2 * n)
         found[..., :n, :n] = self.positions.curvature(x[..., :n], gradient[..., : self.positions.size])
@@ -54,12 +54,12 @@ class BothInputs(NamedTuple):
 
 
 def is_closed(network: nn.Module) -> TypeGuard[Network]:
-    """Return whether derivatives of a network are known in closed form."""
+    """Return whether a network's derivatives are available in closed form."""
     return isinstance(network, Network) and network.activation.kernels is not None
 
 
 def network_derivatives(network: nn.Module, inputs: Inputs, x: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the derivatives of N by x, (B, D) and (B, D, D), of a network that `is_closed`."""
+    """Return the first and second derivatives of N in x, (B, D) and (B, D, D), if `is_closed`."""
     assert is_closed(network)
     z, pullback = inputs.linearised(x)
     kernels = network.activation.kernels

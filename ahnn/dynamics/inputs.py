@@ -1,4 +1,4 @@
-"""Input maps of a network: from physical coordinates to what it sees, and the gradient's way back."""
+"""Input maps from physical coordinates to network inputs, with pullbacks of gradients."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from ahnn.statistics import Statistics
 InputName = Literal["cartesian", "isotropic", "radial", "angles"]
 
 Pullback = Callable[[Tensor], Tensor]
-"""From the gradient with respect to the inputs of a network to the one with respect to the coordinates."""
+"""Pullback: gradient with respect to network inputs -> gradient with respect to coordinates."""
 
 
 def slopes(z: Tensor, pullback: Pullback) -> Tensor:
-    """Return dz/dq, shape (B, F, n), from the way back of gradients at z, shape (B, F)."""
+    """Return dz/dq, shape (B, F, n), from the pullback at z, shape (B, F)."""
     return torch.stack([pullback(unit.expand_as(z)) for unit in torch.eye(z.shape[-1]).to(z)], dim=-2)
 
 
 class LogDistance(nn.Module):
-    """The logarithm of the distance from the origin, scaled to [-1, 1]: equal ratios become equal steps."""
+    """The logarithm of the distance from the origin, scaled to [-1, 1]."""
 
     name: InputName
     middle: Tensor
@@ -41,7 +41,7 @@ class LogDistance(nn.Module):
         """Set the range of log r from the training split.
 
         Raises:
-            UserError: the data touch the centre, or all lie at one distance from it.
+            UserError: the data include the centre, or all have the same distance from it.
         """
         low, high = (float(r) for r in statistics.radius)
         if not 0 < low < high:
@@ -55,16 +55,16 @@ class LogDistance(nn.Module):
         self.spread.copy_((logs[1] - logs[0]) / 2)
 
     def scaled(self, r: Tensor) -> Tensor:
-        """Return s at the distances r, shape (...)."""
+        """Return the scaled log distance s at distances r, shape (...)."""
         return (r.log() - self.middle) / self.spread
 
 
 class Isotropic(LogDistance):
     """Direction and distance, z = (q / r, s) with s the logarithm of r scaled to [-1, 1].
 
-    Suited to any force that comes from a centre: equal ratios of distance become equal steps. It assumes
-    where the centre is, not what the force is. In spite of the name the direction is kept: nothing is
-    taken to be the same in all directions.
+    Suited to any force from a centre: equal ratios of distance become equal input steps. The map assumes the
+    position of the centre but nothing about the force. Despite its name it keeps the direction and does not
+    impose isotropy.
 
     Args:
         dof: degrees of freedom n; the map has n + 1 outputs.
@@ -85,7 +85,7 @@ class Isotropic(LogDistance):
         return self.linearised(q)[1](gradient)
 
     def linearised(self, q: Tensor) -> tuple[Tensor, Pullback]:
-        """Return z at q and the way back of gradients from there, which share what is costly."""
+        """Return z at q and the pullback of gradients at that point, which share intermediate results."""
         r = vector_norm(q, dim=-1, keepdim=True)
         inverse = r.reciprocal()
         direction = q * inverse
@@ -98,7 +98,7 @@ class Isotropic(LogDistance):
         return torch.cat((direction, self.scaled(r)), dim=-1), pullback
 
     def curvature(self, q: Tensor, gradient: Tensor) -> Tensor:
-        """Return the second derivative of z along the gradient with respect to it, shape (..., n, n)."""
+        """Return the second derivative of z contracted with the gradient in z, shape (..., n, n)."""
         r = vector_norm(q, dim=-1, keepdim=True)
         direction = q / r
         g, along = gradient.split_with_sizes((self.size - 1, 1), -1)
@@ -111,10 +111,10 @@ class Isotropic(LogDistance):
 
 
 class Radial(LogDistance):
-    """The distance alone, z = s: a force towards the centre that is the same in all directions.
+    """Distance only, z = s: a central force that is the same in all directions.
 
-    Of a force that comes from a centre it assumes what `Isotropic` leaves open, and so learns one curve from
-    orbits at different distances.
+    Assumes the isotropy that `Isotropic` does not, and so learns one radial profile from orbits at different
+    distances.
     """
 
     name, size = "radial", 1
@@ -128,7 +128,7 @@ class Radial(LogDistance):
         return self.linearised(q)[1](gradient)
 
     def linearised(self, q: Tensor) -> tuple[Tensor, Pullback]:
-        """Return s and the way back of gradients from there."""
+        """Return s and the pullback of gradients at that point."""
         square = q.square().sum(-1, keepdim=True)
         return self.scaled(square.sqrt()), lambda gradient: gradient / (self.spread * square) * q
 
@@ -141,7 +141,7 @@ class Radial(LogDistance):
 
 
 class Cartesian(nn.Module):
-    """The components of one block of the state, positions or momenta, each scaled.
+    """Scaled components of one block of the state, positions or momenta.
 
     Args:
         dof: degrees of freedom n.
@@ -169,7 +169,7 @@ class Cartesian(nn.Module):
         return self.affine.pullback(gradient)
 
     def linearised(self, q: Tensor) -> tuple[Tensor, Pullback]:
-        """Return z at q and the way back of gradients, which is the same everywhere."""
+        """Return z at q and the pullback of gradients, which is constant."""
         return self.affine(q), self.affine.pullback
 
     def curvature(self, q: Tensor, gradient: Tensor) -> Tensor:
@@ -179,11 +179,11 @@ class Cartesian(nn.Module):
 
 
 class Angles(nn.Module):
-    """Cosine and sine of coordinates that are angles, the others scaled: what is learned has period 2 pi.
+    """Cosine and sine of angles, and scaled other coordinates: learned functions have period 2 pi.
 
     Args:
         angular: which of the n coordinates are angles, in rad.
-        scaling: of the others: minmax, block or none.
+        scaling: scaling of the other coordinates: minmax, block or none.
     """
 
     def __init__(self, angular: Sequence[bool], scaling: Kind) -> None:
@@ -194,7 +194,7 @@ class Angles(nn.Module):
         self.size = len(angular) + len(self.turning)
 
     def fit(self, statistics: Statistics) -> None:
-        """Set the scaling of what is no angle; raises UserError for a constant component."""
+        """Set the scaling of coordinates that are not angles; raises UserError for a constant component."""
         if self.straight:
             dof = len(self.straight) + len(self.turning)
             self.affine.fit(statistics.minimum[:dof][self.straight], statistics.maximum[:dof][self.straight])
@@ -209,7 +209,7 @@ class Angles(nn.Module):
         return self.linearised(q)[1](gradient)
 
     def linearised(self, q: Tensor) -> tuple[Tensor, Pullback]:
-        """Return z at q and the way back of gradients from there."""
+        """Return z at q and the pullback of gradients at that point."""
         z, count = self(q), len(self.turning)
         order = [*self.turning, *self.straight]
         back = [order.index(k) for k in range(len(order))]
@@ -222,7 +222,7 @@ class Angles(nn.Module):
         return z, pullback
 
     def curvature(self, q: Tensor, gradient: Tensor) -> Tensor:
-        """Return the second derivative of z along the gradient with respect to it, shape (..., n, n)."""
+        """Return the second derivative of z contracted with the gradient in z, shape (..., n, n)."""
         angle, count = q[..., self.turning], len(self.turning)
         bent = torch.zeros_like(q)
         bent[..., self.turning] = -(
@@ -236,16 +236,16 @@ InputMap = Cartesian | Isotropic | Radial | Angles
 
 @checked
 def position_inputs(name: InputName, dof: int, scaling: Kind, angular: list[bool] | None = None) -> InputMap:
-    """Return the input map of the positions.
+    """Build the input map of the positions.
 
     Args:
-        name: of the map.
+        name: name of the map.
         dof: degrees of freedom n.
         scaling: minmax, block or none.
         angular: which coordinates are angles, for `angles`.
 
     Raises:
-        UserError: unknown name, angles without any, or inputs of a distance in one dimension.
+        UserError: unknown name, `angles` without angular coordinates, or a distance map in one dimension.
     """
     if name == "cartesian":
         return Cartesian(dof, scaling, 0)
@@ -264,11 +264,11 @@ def position_inputs(name: InputName, dof: int, scaling: Kind, angular: list[bool
 
 
 class ScaledStates(nn.Module):
-    """What a network of the states sees: an input map of the positions, and scaled momenta.
+    """Network inputs from states: mapped positions and scaled momenta.
 
     Args:
         dof: degrees of freedom n.
-        inputs: cartesian, isotropic, radial or angles, for the positions.
+        inputs: input map of the positions: cartesian, isotropic, radial or angles.
         scaling: minmax, block or none.
         angular: which coordinates are angles.
     """
@@ -279,6 +279,6 @@ class ScaledStates(nn.Module):
         self.momenta = Cartesian(dof, scaling, 1)
 
     def fit(self, statistics: Statistics) -> None:
-        """Set both from the training split."""
+        """Fit both maps to the training split."""
         self.positions.fit(statistics)
         self.momenta.fit(statistics)

@@ -1,9 +1,9 @@
-"""Lagrangian neural networks (Cranmer, Greydanus, Hoyer, Battaglia, Spergel & Ho 2020), from the paper.
+"""Lagrangian neural networks (Cranmer, Greydanus, Hoyer, Battaglia, Spergel & Ho 2020), after the paper.
 
     d/dt dL/dv = dL/dq   gives   a = (d2L/dv2)^-1 (dL/dq - d2L/dvdq v)
 
-with L = m v^2 / 2 + E N(q, v): the network adds to the kinetic energy of the mass that states have, so that
-the matrix has an inverse where training begins.
+with L = m v^2 / 2 + E N(q, v): the network is added to the kinetic energy of the states' mass, so that the
+matrix is invertible at the start of training.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from ahnn.statistics import Statistics
 
 
 class LagrangianField(nn.Module):
-    """dx/dt of states [q, p], p = m v, from a network for the Lagrangian.
+    """Vector field dx/dt of states [q, p], p = m v, from a Lagrangian network.
 
     Args:
         dof: degrees of freedom n.
-        inertia: factor m of p = m dq/dt, one or one for each coordinate.
+        inertia: factor m of p = m dq/dt, common or per coordinate.
         scaling: minmax, block or none.
         network: width, depth, activation.
     """
@@ -80,17 +80,17 @@ class LagrangianField(nn.Module):
 
 @final
 class LagrangianDynamics(IntegratedField):
-    """The Euler-Lagrange equations of a learned Lagrangian.
+    """Euler-Lagrange equations of a learned Lagrangian.
 
     Args:
         dof: degrees of freedom n.
-        inertia: factor m of p = m dq/dt, one or one for each coordinate.
+        inertia: factor m of p = m dq/dt, common or per coordinate.
         scaling: minmax, block or none.
         network: width, depth, activation.
         integrator: `name` and options of the one-step method.
 
     Raises:
-        UserError: another number of masses.
+        UserError: wrong number of masses.
     """
 
     assumes = "a Lagrangian of q and v"

@@ -1,8 +1,8 @@
-"""Networks of layers with one smooth activation and a linear output, and their closed-form input gradient.
+"""Layered networks with a smooth activation and linear output, and their closed-form input gradient.
 
-The gradient of a scalar network is its transposed pass, written with ordinary operations. Training a
-Hamiltonian then needs a single backward pass, and evaluation needs no autograd: it works under `no_grad`,
-`inference_mode`, `torch.compile` and `torch.export`, where `autograd.grad` does not.
+The gradient of a scalar network is a transposed pass of ordinary operations. Training a Hamiltonian then
+needs a single backward pass, and evaluation needs no autograd and works under `no_grad`, `inference_mode`,
+`torch.compile` and `torch.export`, where `autograd.grad` does not.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from ahnn.dynamics.gradients import Layers, plain_gradient
 
 
 class Layer(Protocol):
-    """An affine map z -> weight z + bias, weight (H, F) and bias (H,) being parameters or made of some."""
+    """Affine map z -> weight z + bias; weight (H, F) and bias (H,) are or depend on parameters."""
 
     @property
     def weight(self) -> Tensor:
-        """The matrix, shape (H, F)."""
+        """Weight matrix, shape (H, F)."""
         ...
 
     @property
     def bias(self) -> Tensor:
-        """The shift, shape (H,)."""
+        """Bias vector, shape (H,)."""
         ...
 
     def __call__(self, z: Tensor) -> Tensor:
@@ -40,10 +40,10 @@ class Layer(Protocol):
 class Network(nn.Module, ABC):
     """Hidden layers, each followed by the activation, and a linear output.
 
-    Final subclasses say in their constructor what the layers are, and write the rows of their parameters.
+    Subclasses define the layers in their constructor and implement `write_rows` for their parameters.
 
     Attributes:
-        activation: smooth.
+        activation: smooth activation.
         hidden: modules that are a `Layer`.
         output: the last layer.
     """
@@ -59,13 +59,13 @@ class Network(nn.Module, ABC):
         return self.output(z)
 
     def layers(self) -> Layers:
-        """Return weights and biases as the gradient of a single output uses them."""
+        """Return weights and biases in the form used by the gradient of a single output."""
         hidden = list(cast("Iterable[Layer]", self.hidden))
         weights = [layer.weight for layer in hidden]
         return Layers(weights, [layer.bias for layer in hidden], self.output.weight[0], weights[0])
 
     def linearised(self, z: Tensor) -> tuple[Tensor, Callable[[Tensor], Tensor]]:
-        """Return the outputs, shape (..., outputs), at z, and the way back of gradients from there."""
+        """Return the outputs, shape (..., outputs), at z, and the pullback of gradients at that point."""
         layers, slopes = [*cast("Iterable[Layer]", self.hidden)], []
         for layer in layers:
             z, slope = self.activation.value_and_slope(layer(z))
@@ -89,13 +89,13 @@ class Network(nn.Module, ABC):
     def write_rows(
         self, theta: Tensor, z: Tensor, slopes: Tensor, values: Tensor | None, out: Tensor
     ) -> None:
-        """Write the derivatives of t . dN/dz + v N by the parameters to `out`, of a network of one output.
+        """Write the parameter derivatives of t . dN/dz + v N to `out`, for a network with one output.
 
         Args:
             theta: the parameters, (P,).
             z: inputs, (B, F).
             slopes: t, (B, R, F).
-            values: v, (B, R); None for zeros.
+            values: v, (B, R), or None for zeros.
             out: (B, R, P).
         """
 

@@ -1,8 +1,8 @@
 """Dynamics to first order in a step of their parameters.
 
-N(z; theta) + dN/dtheta s is what three networks side by side say, one at theta and one on either side of it
-a little along the step s: a network of three times the width. So a step that parameters cannot take, because
-what they predict bends, can still be taken by the functions.
+N(z; theta) + dN/dtheta s is represented by three parallel networks, one at theta and two displaced along +s
+and -s: a network of three times the width. A step that fails in parameter space because predictions are
+nonlinear in theta can so still be taken in function space.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from ahnn.dynamics.gaussian_process import Waves
 from ahnn.dynamics.layered import Network
 
 REACH = 1e-3
-"""Share of the step over which the derivative is a difference."""
+"""Displacement of the finite difference, as a fraction of the step."""
 SHARES = (1.0, 0.5 / REACH, -0.5 / REACH)
-"""What the networks at theta, theta + REACH s and theta - REACH s count."""
+"""Output weights of the networks at theta, theta + REACH s and theta - REACH s."""
 
 
 def linearised(dynamics: Dynamics, step: Tensor) -> tuple[Dynamics, Tensor] | None:
-    """Return dynamics whose networks are N + dN/dtheta s, and where theta went among their parameters, (P,).
+    """Return dynamics with networks N + dN/dtheta s, and the indices of theta in their parameters, (P,).
 
-    To first order those at the places move the result as theta moved it. Parameters of no network move by
-    the step itself.
+    To first order the result depends on the indexed parameters as on theta. Parameters outside networks are
+    changed by the step itself.
 
     Args:
-        dynamics: of `make_dynamics`, with networks.
+        dynamics: result of `make_dynamics`, with networks.
         step: s, shape (P,), in the order of `dynamics.parameters()`.
 
     Returns:
-        None where the dynamics do not say how they are built with wider networks.
+        None if the dynamics cannot be rebuilt with wider networks.
     """
     spec = getattr(dynamics, "spec", {})
     network = spec.get("network")
@@ -44,7 +44,7 @@ def linearised(dynamics: Dynamics, step: Tensor) -> tuple[Dynamics, Tensor] | No
     theta = parameters_to_vector(dynamics.parameters()).detach()
     moved = _side_by_side(dynamics, (theta, theta + REACH * step, theta - REACH * step), SHARES)
     if any(moved[name].shape != p.shape for name, p in wide.named_parameters()):
-        return None  # parameters that no network has, as wide as one
+        return None  # parameters outside networks whose shape depends on the width
     wide.to(theta.dtype).load_state_dict({**dynamics.state_dict(), **moved})
     numbers = torch.arange(1, len(theta) + 1).to(theta)
     numbered = _side_by_side(dynamics, (numbers, 0 * theta, 0 * theta), (1.0, 0.0, 0.0))
@@ -53,7 +53,7 @@ def linearised(dynamics: Dynamics, step: Tensor) -> tuple[Dynamics, Tensor] | No
 
 
 def _side_by_side(dynamics: Dynamics, copies: Sequence[Tensor], shares: Sequence[float]) -> dict[str, Tensor]:
-    """Return tensors, by name, of dynamics whose networks add up those of copies times their shares."""
+    """Return tensors, by name, of dynamics whose networks are weighted sums of the copies."""
     found, begin = dict[str, Tensor](), 0
     networks = [name for name, module in dynamics.named_modules() if isinstance(module, Network)]
     for name, parameter in dynamics.named_parameters():
@@ -76,7 +76,7 @@ def _side_by_side(dynamics: Dynamics, copies: Sequence[Tensor], shares: Sequence
 
 
 def _copied(waves: Waves, prefix: str, log_lengths: Sequence[Tensor]) -> dict[str, Tensor]:
-    """Return tensors of waves side by side: the first follow the lengths, the others keep theirs."""
+    """Return concatenated wave tensors: the first copy follows the lengths, the others have fixed lengths."""
     first, *others = log_lengths
     kept = [waves.weight_at(other)[::2] for other in others]
     return {

@@ -1,4 +1,4 @@
-"""H = p^T M(q)^{-1} p / 2 + V(q): coupled bodies in generalised coordinates, the mass matrix learned."""
+"""H = p^T M(q)^{-1} p / 2 + V(q): coupled bodies in generalised coordinates, with a learned mass matrix."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from ahnn.statistics import Statistics
 
 
 class MassMatrixHamiltonian(ScaledStates):
-    """H = p^T M(q)^{-1} p / 2 + V(q) from one network of the positions.
+    """H = p^T M(q)^{-1} p / 2 + V(q) with one network of the positions.
 
-    The inverse is L(q) L(q)^T, so that the kinetic energy is never negative; the outputs of the network are
-    what the lower triangle L is beside the identity, in units of the data, and V.
+    The inverse is L(q) L(q)^T, so that the kinetic energy is non-negative. The network outputs are the
+    difference of the lower triangle L from the identity, in units of the data, and V.
 
     The arguments are those of `ScaledStates`, and width, depth and activation of the network.
     """
@@ -47,12 +47,12 @@ class MassMatrixHamiltonian(ScaledStates):
         return self.positions(x.chunk(2, dim=-1)[0])
 
     def triangle(self, y: Tensor) -> Tensor:
-        """Return L, shape (..., n, n), of outputs y of the network, in units of the scaled momenta."""
+        """Return L, shape (..., n, n), from network outputs y, in units of the scaled momenta."""
         size = self.elements.shape[-1]
         return torch.eye(size).to(y) + torch.einsum("...k,kij->...ij", y[..., :-1], self.elements)
 
     def scaled(self, p: Tensor) -> Tensor:
-        """Return momenta, shape (..., n), of size one; zero stays zero."""
+        """Return momenta, shape (..., n), scaled to order one; zero stays zero."""
         return p / self.momenta.affine.scale
 
     def energy(self, x: Tensor) -> Tensor:
@@ -70,7 +70,7 @@ class MassMatrixHamiltonian(ScaledStates):
         lower, p = self.triangle(y), self.scaled(p)
         along = (lower.mT @ p.unsqueeze(-1)).squeeze(-1)
         velocity = self.scaled(self.units[1] * (lower @ along.unsqueeze(-1)).squeeze(-1))
-        # dT/dL_ij = p_i (L^T p)_j, and V is an output itself.
+        # dT/dL_ij = p_i (L^T p)_j, and V is itself an output.
         kinetic = self.units[1] * torch.einsum("kij,...i,...j->...k", self.elements, p, along)
         by = torch.cat((kinetic, self.units[0].expand_as(kinetic[..., :1])), dim=-1)
         return torch.cat((velocity, -to_positions(to_inputs(by))), dim=-1)

@@ -1,6 +1,6 @@
-"""Steps and their reverse in C: what first-order training spends its time on.
+"""Integrator steps and their backward pass in C, the main cost of first-order training.
 
-The library does what `written_out` does by some hundred operations of torch, a block of members at a time.
+The library replaces about a hundred torch operations of `written_out`, one block of members at a time.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from ahnn.dynamics.activations import ACTIVATIONS, Activation
 from ahnn.integrators.tableaus import ButcherTableau
 
 KNOWN = tuple(ACTIVATIONS[name].value for name in ("gelu", "tanh", "silu"))
-"""Activations in the order of their numbers in the libraries."""
+"""Activations in the order of their numbers in the C library."""
 PART = 512
-"""States that are worth a core, and sums of their own."""
+"""Number of states that justifies one more core with its own partial sums."""
 KEPT = 1 << 22
-"""Bytes of a step beyond which they are made again sooner than read again."""
+"""Size of a step's record in bytes above which recomputing is faster than reading."""
 
 
 class Scheme(NamedTuple):
-    """What of a step is not a tensor to be differentiated: method, its step h, activation."""
+    """Non-differentiated properties of a step: method, step length h, activation."""
 
     tableau: ButcherTableau
     h: float | Tensor
@@ -38,12 +38,12 @@ class Scheme(NamedTuple):
 
 
 DEFINED = {torch.float32: (), torch.float64: ("DOUBLE",)}
-"""What the source asks for, by the type of its numbers."""
+"""Preprocessor macros of the C source for each dtype."""
 
 
 @cache
 def library(dtype: torch.dtype = torch.float32) -> ctypes.CDLL | None:
-    """Return the library of numbers of a type in `DEFINED`, or None where there is no C compiler."""
+    """Return the library for a dtype in `DEFINED`, or None without a C compiler."""
     signatures = {
         "ahnn_kept": (N, N, N, N, N),
         "ahnn_increment": (N, N, N, N, N, N, P, P, P, P, N, P, P, P, P),
@@ -54,7 +54,7 @@ def library(dtype: torch.dtype = torch.float32) -> ctypes.CDLL | None:
 
 
 def applies(scheme: Scheme, x: Tensor, tensors: Sequence[Tensor]) -> bool:
-    """Return whether a library takes a step from x, (B, D), and these parameters."""
+    """Return whether the library supports a step from x, (B, D), with these parameters."""
     dtype, steps = x.dtype, (scheme.h,) if isinstance(scheme.h, Tensor) else ()
     fits = x.ndim == 2 and len(x) > 0 and x.shape[1] == tensors[0].shape[1]
     fits = fits and all(t.shape == (len(x), 1) for t in steps)
@@ -72,12 +72,12 @@ def table(tableau: ButcherTableau, dtype: torch.dtype) -> Tensor:
 
 
 class Increment:
-    """One step from states x, (B, D), ready to be followed and followed back.
+    """One step from states x, (B, D), with its forward and backward pass.
 
     Args:
-        scheme: method, step h (a number or (B, 1)) and activation, which apply.
-        x: (B, D).
-        tensors: weights and biases of the layers, last row and E.
+        scheme: supported method, step h (a number or (B, 1)) and activation.
+        x: (B, D) states.
+        tensors: weights and biases of the layers, output weights and E.
     """
 
     def __init__(self, scheme: Scheme, x: Tensor, tensors: Sequence[Tensor]) -> None:
@@ -90,30 +90,30 @@ class Increment:
         self.parts = slices(len(x), PART)
 
     def room(self) -> Tensor | None:
-        """Return memory for what the reverse would else make again; None if that costs less."""
+        """Allocate memory for the record of the backward pass; None where recomputing costs less."""
         inputs, units, depth, _, stages = self.sizes
         count = self.library.ahnn_kept(min(len(self.x), PART), inputs, units, depth, stages)
         bytes_kept = self.x.element_size() * count * len(self.parts)
         return self.x.new_empty(len(self.parts), count) if bytes_kept <= KEPT else None
 
     def follow(self, room: Tensor | None = None) -> Tensor:
-        """Return the increment, (B, D); what the reverse needs is left in the room."""
+        """Return the increment, (B, D), and store the record of the backward pass in `room`."""
         return self._call(None, room)[0]
 
     def follow_back(self, v: Tensor, room: Tensor | None = None) -> tuple[Tensor, list[Tensor]]:
         """Return v . d(increment)/dx, (B, D), and v . d(increment)/dtensors; v is (B, D).
 
-        The room is the one that the step was followed with, and useless afterwards.
+        `room` is the memory filled by the forward pass; its content is overwritten.
         """
         moved, sums = self._call(v.contiguous(), room)
         parts = sums.split([t.numel() for t in self.tensors])
         return moved, [part.view_as(t) for part, t in zip(parts, self.tensors, strict=True)]
 
     def _call(self, v: Tensor | None, room: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Return what is asked, (B, D), and the gradients one after the other.
+        """Return the requested result, (B, D), and the concatenated gradients.
 
         Raises:
-            MemoryError: there is none for a block of members.
+            MemoryError: no memory for a block of members.
         """
         x, h, out = self.x, self.h, torch.empty_like(self.x)
         sums = x.new_empty(len(self.parts), 0 if v is None else sum(t.numel() for t in self.tensors))

@@ -1,4 +1,4 @@
-"""Multilayer perceptrons, and the one function that makes a network from its options."""
+"""Multilayer perceptrons, and the factory of networks from options."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ class Perceptron(Network):
         for layer in self.hidden:
             assert isinstance(layer, nn.Linear)
             nn.init.normal_(layer.weight, std=layer.in_features**-0.5)
-            nn.init.uniform_(layer.bias, -1, 1)  # spread over the inputs: smooth units differ from the start
+            nn.init.uniform_(layer.bias, -1, 1)  # spread over the inputs: smooth units differ initially
         nn.init.normal_(self.output.weight, std=0.1 * width**-0.5)
         nn.init.zeros_(self.output.bias)
 
     def write_rows(
         self, theta: Tensor, z: Tensor, slopes: Tensor, values: Tensor | None, out: Tensor
     ) -> None:
-        """Write the derivatives of t . dN/dz + v N by the parameters; see `Network`."""
+        """Write the parameter derivatives of t . dN/dz + v N; see `Network`."""
         layers, kernels = layers_at(self, theta), self.activation.kernels
         assert kernels is not None
         _, records = recorded_gradient(z.T.contiguous().T, layers, kernels)
@@ -60,9 +60,9 @@ class Perceptron(Network):
 
 
 def make_network(inputs: int, outputs: int, options: dict[str, Any]) -> Network:
-    """Return a network from the options width, depth and activation; raises UserError for any other.
+    """Build a network from the options width, depth and activation; raises UserError for any other.
 
-    The activation `fourier` makes a Gaussian process, any other one a perceptron.
+    The activation `fourier` gives a Gaussian process, any other a perceptron.
     """
     kind = GaussianProcess if options.get("activation") == "fourier" else Perceptron
     check_arguments("model.network", kind, options, ("inputs", "outputs"))

@@ -1,4 +1,4 @@
-"""Dynamics without a field: a network from one state to the next."""
+"""Discrete-time dynamics: a network from one state to the next."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from ahnn.types import TimeStep
 
 @final
 class NextState(StepMap):
-    """A network that maps a state to the next one: no field, no integrator, one fixed time step.
+    """Network that maps a state to the next one, with a fixed time step and no vector field.
 
     Args:
         dof: degrees of freedom n.
         scaling: minmax, block or none.
-        residual: True learns the increment in units of its rms; False learns the next state itself.
+        residual: True to learn the increment in units of its rms, False to learn the next state.
         network: width, depth, activation.
     """
 

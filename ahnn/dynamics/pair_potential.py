@@ -1,7 +1,7 @@
-"""A potential that adds up over pairs of bodies: V = sum over i < j of m_i m_j phi(|q_i - q_j|), phi learned.
+"""Learned pair potential: V = sum over i < j of m_i m_j phi(|q_i - q_j|).
 
-It is the same for bodies that change places, and where all of them are moved or turned. What was learned of a
-few bodies holds for more of them (`for_bodies`).
+V is invariant under exchange of bodies, translation and rotation. It transfers to a larger number of bodies
+(`for_bodies`).
 """
 
 from __future__ import annotations
@@ -22,17 +22,18 @@ from ahnn.statistics import Statistics
 
 
 class PairPotential(nn.Module):
-    """sum of m_i m_j phi(r_ij), phi(r) = unit (R / r)^k N(log r), R the least distance of the training.
+    """sum of m_i m_j phi(r_ij), phi(r) = unit (R / r)^k N(log r), R the least training distance.
 
     Args:
         dof: degrees of freedom n, `dimensions` for each body: (x_1, y_1, x_2, y_2, ...).
-        mass: of the coordinates, one for all or n.
-        dimensions: of the space.
-        falloff: k.
+        mass: mass of the coordinates, common or (n,).
+        dimensions: dimension of physical space.
+        falloff: decay exponent k.
         network: width, depth, activation of N.
 
     Raises:
-        UserError: no whole number of bodies, two at least, or coordinates of one body with several masses.
+        UserError: fewer than two bodies, a number of coordinates that is not a multiple of the dimension, or
+            different masses of the coordinates of a body.
     """
 
     middle: Tensor
@@ -57,7 +58,7 @@ class PairPotential(nn.Module):
             self.register_buffer(name, torch.ones(()))
 
     def fit(self, statistics: Statistics) -> None:
-        """Set the range of distances, and the energy of a pair as the unit."""
+        """Set the range of distances, and the energy unit of a pair."""
         distances = self.distances(statistics.positions)[1]
         logs = torch.stack((distances.min(), distances.max())).log()
         self.middle.copy_(logs.mean())
@@ -66,18 +67,18 @@ class PairPotential(nn.Module):
         self.unit.copy_(energy_units(statistics)[0] / float(self.products(statistics.positions).mean()))
 
     def pairs(self, like: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the numbers i < j of the bodies of all pairs, (P,) each."""
+        """Return the indices i < j of all pairs of bodies, (P,) each."""
         first, second = torch.triu_indices(len(self.masses), len(self.masses), 1, device=like.device)
         return first, second
 
     def products(self, like: Tensor) -> Tensor:
-        """Return m_i m_j of all pairs, (P,)."""
+        """Return m_i m_j for all pairs, (P,)."""
         first, second = self.pairs(like)
         masses = torch.tensor(self.masses).to(like)
         return masses[first] * masses[second]
 
     def distances(self, q: Tensor) -> tuple[Tensor, Tensor]:
-        """Return q_i - q_j, (..., P, d), and their lengths, (..., P), of all pairs at q, (..., n)."""
+        """Return q_i - q_j, (..., P, d), and distances, (..., P), of all pairs at q, (..., n)."""
         bodies = q.unflatten(-1, (len(self.masses), self.dimensions))
         first, second = self.pairs(q)
         between = bodies[..., first, :] - bodies[..., second, :]
@@ -90,7 +91,7 @@ class PairPotential(nn.Module):
         return self.unit * (self.products(q) * value).sum(-1)
 
     def scaled(self, r: Tensor) -> Tensor:
-        """Return the inputs of the network, (..., 1), at the distances r."""
+        """Return the network inputs, (..., 1), at the distances r."""
         return ((r.log() - self.middle) / self.spread).unsqueeze(-1)
 
     def gradient(self, q: Tensor) -> Tensor:
@@ -102,7 +103,7 @@ class PairPotential(nn.Module):
         return (self.pulls(q) @ slope.unsqueeze(-1)).squeeze(-1)
 
     def pulls(self, q: Tensor) -> Tensor:
-        """Return dV/dq per dN/dlog r - k N of each pair, shape (..., n, P), at q, shape (..., n)."""
+        """Return the derivative of V in q per dN/dlog r - k N of each pair, (..., n, P), at q, (..., n)."""
         between, r = self.distances(q)
         first, second = self.pairs(q)
         count = len(self.masses)
@@ -112,7 +113,7 @@ class PairPotential(nn.Module):
 
     @property
     def has_rows(self) -> bool:
-        """Whether the derivatives of the network by its parameters are known in closed form."""
+        """Whether the network's parameter derivatives are available in closed form."""
         return is_closed(self.network)
 
     def write_rows(self, theta: Tensor, q: Tensor, factors: Tensor, out: Tensor) -> None:
@@ -131,7 +132,7 @@ class PairPotential(nn.Module):
 
 
 def body_masses(dof: int, mass: float | Sequence[float], dimensions: int) -> list[float]:
-    """Return a mass for each body; raises UserError where the coordinates are not those of bodies."""
+    """Return the mass of each body; raises UserError for coordinates that do not form bodies."""
     if dof % dimensions or dof < 2 * dimensions:
         message = (
             f"hamiltonian pairs: expected {dimensions} coordinates for each of two bodies or more; received "
@@ -147,14 +148,14 @@ def body_masses(dof: int, mass: float | Sequence[float], dimensions: int) -> lis
 
 
 def for_bodies(dynamics: nn.Module, masses: Sequence[float]) -> nn.Module:
-    """Return dynamics of pairs for other bodies than those they were learned from.
+    """Transfer learned pair dynamics to other bodies.
 
     Args:
         dynamics: `HamiltonianDynamics` with hamiltonian=pairs.
-        masses: of the bodies, two or more.
+        masses: masses of two or more bodies.
 
     Raises:
-        UserError: dynamics of another structure, or masses that are none.
+        UserError: dynamics of another structure, or invalid masses.
     """
     found: Any = copy.deepcopy(dynamics)
     field = getattr(found, "field", None)

@@ -1,8 +1,8 @@
-"""Jacobians of a perceptron's gradient with respect to its parameters, sample by sample, written out.
+"""Per-sample Jacobians of a perceptron's gradient with respect to its parameters, in closed form.
 
-The reverse of `gradients` sums over samples. Here each of R rows of each sample keeps its own: in a layer it
-is delta_l (x) along_l + back_l (x) a_{l-1}, two outer products for each evaluation of the gradient, and those
-of all stages of a Runge-Kutta step are one batched product, written to where the rows shall lie.
+The backward pass of `gradients` sums over samples. Here each of R rows per sample is kept: in layer l it is
+delta_l (x) along_l + back_l (x) a_{l-1}, two outer products per gradient evaluation. The products of all
+stages of a Runge-Kutta step form one batched product, written in place.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from ahnn.dynamics.layered import Network
 
 
 class Stage(NamedTuple):
-    """One evaluation of the gradient with R cotangents for each of B samples; F inputs, L layers of H units.
+    """One gradient evaluation with R cotangents for each of B samples; F inputs, L layers of H units.
 
     Attributes:
-        records: of `recorded_gradient`, L of them.
-        along: L + 1 tangents, the cotangents themselves (B, R, F), then behind each layer (B, R, H).
-        back: what returns to each layer, (B, R, H).
+        records: result of `recorded_gradient`, L layers.
+        along: L + 1 tangents: the cotangents themselves (B, R, F), then after each layer (B, R, H).
+        back: gradients returned to each layer, (B, R, H).
     """
 
     records: list[LayerRecord]
@@ -31,7 +31,7 @@ class Stage(NamedTuple):
 
 
 def layers_at(network: Network, theta: Tensor) -> Layers:
-    """Return the layers of a perceptron of one output whose parameters are theta, (P,)."""
+    """Return the layers of a single-output perceptron with parameters theta, (P,)."""
     parameters = list(network.parameters())
     parts = theta.split([p.numel() for p in parameters])
     *hidden, last, _ = [part.view_as(p) for part, p in zip(parts, parameters, strict=True)]
@@ -39,12 +39,12 @@ def layers_at(network: Network, theta: Tensor) -> Layers:
 
 
 def reversed_rows(t: Tensor, records: list[LayerRecord], weights: list[Tensor]) -> tuple[Stage, Tensor]:
-    """Return the reverse of g = grad N(z) for all cotangents, and t . dg/dz, shape (B, R, F).
+    """Return the backward pass of g = grad N(z) for all cotangents, and t . dg/dz, shape (B, R, F).
 
     Args:
         t: cotangents of g, (B, R, F).
-        records: of `recorded_gradient` at z, (B, F).
-        weights: of the hidden layers.
+        records: result of `recorded_gradient` at z, (B, F).
+        weights: weights of the hidden layers.
     """
     along, bends = [t], []
     for weight, record in zip(weights, records, strict=True):
@@ -61,11 +61,11 @@ def curvature(records: list[LayerRecord], weights: list[Tensor]) -> Tensor:
     """Return the second derivatives of N with respect to z, shape (B, F, F).
 
     Args:
-        records: of `recorded_gradient` at z, (B, F).
-        weights: of the hidden layers.
+        records: result of `recorded_gradient` at z, (B, F).
+        weights: weights of the hidden layers.
     """
     first, *further = weights
-    # What the first layer bends is the same products of its weights for all samples.
+    # The curvature of the first layer is a contraction of products of its weights, common to all samples.
     products = (first.unsqueeze(2) * first.unsqueeze(1)).flatten(1)
     found = (records[0].bend @ products).unflatten(1, (first.shape[1], -1))
     if not further:
@@ -76,12 +76,12 @@ def curvature(records: list[LayerRecord], weights: list[Tensor]) -> Tensor:
 
 
 def with_value(stage: Stage, v: Tensor, last: Tensor) -> Stage:
-    """Return a stage that holds the reverse of v N(z), too, but for the constant of N.
+    """Return a stage extended by the backward pass of v N(z), except for the output bias of N.
 
     Args:
-        stage: of cotangents of grad N(z).
+        stage: stage of cotangents of grad N(z).
         v: cotangents of N(z), (B, R).
-        last: what the output layer sees, (B, H).
+        last: inputs of the output layer, (B, H).
     """
     v = v.unsqueeze(-1)
     back = [b + v * record.delta.unsqueeze(1) for b, record in zip(stage.back, stage.records, strict=True)]
@@ -106,13 +106,13 @@ def write_rows(stages: list[Stage], out: Tensor) -> None:
         column += units
     last = sum(s.along[-1] for s in stages)
     out[..., column:-1] = last
-    out[..., -1] = 0.0  # the gradient does not know the constant
+    out[..., -1] = 0.0  # the gradient does not depend on the output bias
 
 
 def _interleaved(shared: list[Tensor], own: list[Tensor], *, swap: bool = False) -> Tensor:
-    """Return factors of outer products, (B R, 2S, H), from S of samples (B, H) and S of rows (B, R, H).
+    """Return factors of outer products, (B R, 2S, H), from S per-sample (B, H) and S per-row (B, R, H) ones.
 
-    Those of rows come behind those of samples, or before them with `swap`.
+    Per-row factors follow the per-sample factors, or precede them with `swap`.
     """
     wide = [t.unsqueeze(1).expand_as(own[0]) for t in shared]
     return torch.stack([*own, *wide] if swap else [*wide, *own], dim=2).flatten(0, 1)

@@ -1,8 +1,8 @@
-"""A flow as one recorded sequence of operations: the same numbers to rounding, without Python between them.
+"""Recorded flows: traced sequences of operations, equal to rounding, without Python overhead.
 
-On the 13 sigma points of one state a small network costs more in Python than in arithmetic; replayed, the
-sequence takes a quarter of the time. Only flows whose operations do not depend on the numbers are recorded:
-explicit integrators and maps, and no iteration to convergence.
+On the 13 sigma points of one state a small network costs more in Python than in arithmetic; the replayed
+sequence takes a quarter of the time. Only flows with data-independent operations are recorded: explicit
+integrators and maps, but no iterations to convergence.
 """
 
 from __future__ import annotations
@@ -29,24 +29,23 @@ from ahnn.rollouts import clock_of
 from ahnn.types import Flow, TimeStep
 
 SETTLED = 3
-"""Calls after which a recording is as fast as it gets."""
+"""Number of calls until a recording reaches full speed."""
 WORTH = 150
-"""Calls that cost what a recording does."""
+"""Number of calls that cost as much as a recording."""
 _RECORDING = threading.Lock()
-"""Held while operations are recorded: paths side by side share one recording."""
+"""Lock held during recording: parallel paths share one recording."""
 
 
 def recorded(flow: Flow) -> Flow:
-    """Return a flow with the same values, to rounding, for one step length at a time and without gradients.
+    """Return an equivalent flow, to rounding, for one step length at a time and without gradients.
 
-    Dynamics whose operations depend on the numbers, and functions of which nothing is known, come back as
-    they are.
+    Dynamics with data-dependent operations, and unknown functions, are returned unchanged.
     """
     return _Recorded(flow) if _fixed(flow) else flow
 
 
 def _fixed(flow: Flow) -> bool:
-    """Return whether these are dynamics whose operations do not depend on the numbers."""
+    """Return whether a flow consists of dynamics with data-independent operations."""
     if clock_of(flow):
         return False
     if isinstance(flow, HamiltonianDynamics | NeuralODE):
@@ -55,7 +54,7 @@ def _fixed(flow: Flow) -> bool:
 
 
 class _Recorded:
-    """Recordings of a flow, one for each shape of the states."""
+    """Recordings of a flow, one per shape of the states."""
 
     def __init__(self, flow: Flow) -> None:
         self.flow = flow
@@ -67,7 +66,7 @@ class _Recorded:
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the states (B, D) after dt."""
-        if followed() or (isinstance(dt, Tensor) and dt.ndim):  # steps of members are of large batches
+        if followed() or (isinstance(dt, Tensor) and dt.ndim):  # one step per member implies large batches
             return self.flow(x, dt)
         step = torch.as_tensor(dt, dtype=torch.float64)
         with _RECORDING:
@@ -80,12 +79,12 @@ class _Recorded:
 class Increments:
     """Increments of dynamics for any parameters, without gradients; recorded where that pays.
 
-    A recording serves all problems of the same dynamics: only parameters differ from one to the next.
+    A recording is shared by all problems with the same dynamics, which differ only in their parameters.
 
     Args:
-        dynamics: float64; they stay as they are.
-        calls: how many are expected, from which it follows whether they are recorded: what numbers come out
-            depends on the problem alone, and not on those before it.
+        dynamics: float64 dynamics, which are not modified.
+        calls: expected number of calls, which decides whether to record: results then depend on the problem
+            alone, not on earlier ones.
     """
 
     def __init__(self, dynamics: Dynamics, calls: int) -> None:
@@ -96,7 +95,7 @@ class Increments:
         self._theta: Tensor | None = None
 
     def _gains(self) -> bool:
-        """Return whether a recording is faster; a step that is one operation in C has nothing to gain."""
+        """Return whether a recording is faster; a step that is one C operation gains nothing."""
         flow = self.dynamics
         return _fixed(flow) and not (isinstance(flow, HamiltonianDynamics) and flow.in_c())
 
@@ -114,14 +113,14 @@ class Increments:
 
 
 class _KnownFlow(NamedTuple):
-    """A recording, and what of the dynamics it holds for good: all but the parameters."""
+    """Recording with the fixed properties of its dynamics: all except the parameters."""
 
     integrator: Any
     buffers: list[Tensor]
     recording: Callable[..., Tensor]
 
     def fits(self, dynamics: Dynamics) -> bool:
-        """Return whether the dynamics are still those of the recording."""
+        """Return whether the dynamics still match the recording."""
         now = list(dynamics.buffers())
         if len(now) != len(self.buffers) or self.integrator is not getattr(dynamics, "integrator", None):
             return False
@@ -133,7 +132,7 @@ _KNOWN: WeakKeyDictionary[Dynamics, _KnownFlow] = WeakKeyDictionary()
 
 
 def _recording(dynamics: Dynamics, *example: Tensor) -> Callable[..., Tensor]:
-    """Return the recorded increment of parameters, states and steps; made once for the same dynamics."""
+    """Return the recorded increment of parameters, states and steps; made once per dynamics."""
     known = _KNOWN.get(dynamics)
     if known is None or not known.fits(dynamics):
         copied = copy.deepcopy(dynamics).requires_grad_(False)
@@ -146,7 +145,7 @@ def _recording(dynamics: Dynamics, *example: Tensor) -> Callable[..., Tensor]:
 
 
 def of_parameters(dynamics: Dynamics) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
-    """Return the increment as a function of parameters, too, that a recording sees; uses up the dynamics."""
+    """Return the increment as a traceable function that includes parameters; consumes the dynamics."""
     shapes = {name: p.shape for name, p in dynamics.named_parameters()}
     sizes = [shape.numel() for shape in shapes.values()]
 
@@ -161,7 +160,7 @@ def of_parameters(dynamics: Dynamics) -> Callable[[Tensor, Tensor, Tensor], Tens
 
 def _record(function: Callable[..., Tensor], *example: Tensor) -> Callable[..., Tensor]:
     with torch.inference_mode(mode=False), torch.no_grad(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # deprecated for deployment; nothing here depends on the numbers
+        warnings.simplefilter("ignore")  # deprecated for deployment; no operation here depends on data
         trace: Any = torch.jit.trace
         known = trace(function, tuple(t.clone() for t in example), check_trace=False)
         for _ in range(SETTLED):

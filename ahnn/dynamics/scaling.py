@@ -1,8 +1,8 @@
 """Affine scalings of the state, fitted on the training split.
 
-A scaling sits inside the vector field: the network sees scaled coordinates, and its gradient is pulled back
-to the physical state by the chain rule. Hamilton's equations then hold exactly for any scaling, also for a
-scaling per component, which is not canonical by itself in more than one dimension.
+The scaling is part of the vector field: the network receives scaled coordinates, and its gradient is pulled
+back to the physical state by the chain rule. Hamilton's equations then hold exactly for any scaling, also for
+a scaling per component, which is not canonical by itself in more than one dimension.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ROUNDING = 1e-9
 
 @checked
 class Affine(nn.Module):
-    """z = (x - shift) / scale, with constants that travel with the checkpoint.
+    """Affine map z = (x - shift) / scale, with constants stored in the checkpoint.
 
     Args:
         kind: `minmax` maps each component to [-1, 1] (the paper); `block` shares one scale among the
@@ -48,7 +48,7 @@ class Affine(nn.Module):
         """Set shift and scale from the extremes of the components, both of shape (size,).
 
         Raises:
-            UserError: a component does not vary.
+            UserError: a component is constant.
         """
         if self.kind == "none":
             return

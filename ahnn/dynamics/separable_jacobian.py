@@ -1,4 +1,4 @@
-"""Jacobian of a field by its parameters, closed: of T(p) + V(q) dp/dt, and dq/dt where T is learned."""
+"""Closed-form parameter Jacobians of fields: dp/dt of T(p) + V(q), and dq/dt where T is learned."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from ahnn.dynamics.hessians import BothInputs
 from ahnn.dynamics.inputs import slopes
 
 SAMPLES = 256
-"""Samples whose rows are made at once."""
+"""Number of samples whose rows are computed at once."""
 
 
 def has_separable_rows(field: nn.Module) -> TypeGuard[SeparableHamiltonian]:
-    """Return whether the rows of this field are known in closed form."""
+    """Return whether the rows of a field are available in closed form."""
     return isinstance(field, SeparableHamiltonian) and field.has_rows
 
 
 def separable_rows(field: SeparableHamiltonian, theta: Tensor, x: Tensor, factors: Tensor) -> Tensor:
-    """Return factors df/dtheta of the components that theta moves, (B, L, P): L = D, or n where T is known.
+    """Return factors df/dtheta of the L components that depend on theta, (B, L, P): L = D, or n for known T.
 
     Args:
-        field: for which `has_separable_rows`.
+        field: field with `has_separable_rows`.
         theta: (P,).
         x: (B, D).
         factors: (B, D).
@@ -55,7 +55,7 @@ def separable_rows(field: SeparableHamiltonian, theta: Tensor, x: Tensor, factor
 
 
 def has_generic_rows(field: nn.Module) -> TypeGuard[GenericHamiltonian]:
-    """Return whether this is the field of one network, whose derivatives are known in closed form."""
+    """Return whether a field is that of a single network with closed-form derivatives."""
     return isinstance(field, GenericHamiltonian) and field.has_hessian
 
 
@@ -63,7 +63,7 @@ def generic_rows(field: GenericHamiltonian, theta: Tensor, x: Tensor, factors: T
     """Return factors df/dtheta, (B, D, P).
 
     Args:
-        field: for which `has_generic_rows`.
+        field: field with `has_generic_rows`.
         theta: (P,).
         x: (B, D).
         factors: (B, D).

@@ -1,4 +1,4 @@
-"""Modules that are no larger than the tensors that are to fill them, refused while they are being built."""
+"""Size limit of modules during construction, from the tensors that will fill them."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from ahnn.errors import UserError
 
 @contextmanager
 def fillable(state: Mapping[str, Tensor]) -> Iterator[None]:
-    """Refuse modules that are built inside with more than twice the tensors, or numbers, that there are.
+    """Reject modules built in this context with more than twice the available tensors or numbers.
 
-    Sizes that stand beside weights may be anything; a module tells each tensor before it is filled. Twice:
-    some modules register a tensor again.
+    Sizes in the metadata of weights are untrusted; a module registers each tensor before it is filled. The
+    factor of two allows for modules that register a tensor again.
 
     Raises:
-        UserError: as soon as there is one too many.
+        UserError: as soon as the limit is exceeded.
     """
     tensors, numbers = 2 * len(state), 2 * sum(tensor.numel() for tensor in state.values())
 

@@ -1,4 +1,4 @@
-"""What dynamics without a field have in common: scaled inputs, and the one time step of their training."""
+"""Base class of discrete-time dynamics: scaled inputs and the fixed time step of the training."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ahnn.types import TimeStep
 
 
 class StepMap(Dynamics):
-    """A map from one sample to the next.
+    """Map from one sample to the next.
 
     Args:
         dof: degrees of freedom n.
@@ -30,12 +30,12 @@ class StepMap(Dynamics):
 
     @property
     def own_step(self) -> float:
-        """The sampling interval of the training data."""
+        """Sampling interval of the training data."""
         return float(self.dt)
 
     def require(self, dt: TimeStep) -> None:
-        """Refuse another step than that of the training; raises UserError."""
-        if not torch.compiler.is_exporting():  # a graph has the step that it was made for
+        """Raise UserError for a step other than that of the training."""
+        if not torch.compiler.is_exporting():  # a graph is specific to its step
             require_step(self.own_step, dt)
 
     def fit(self, statistics: Statistics) -> None:
@@ -51,7 +51,7 @@ class StepMap(Dynamics):
 
 
 def require_step(step: float, dt: TimeStep) -> None:
-    """Refuse steps that are not that of the training of a map, which has no time axis; raises UserError."""
+    """Raise UserError for steps other than the training step of a map, which is not continuous in time."""
     off = float((dt - step).abs().max()) if isinstance(dt, Tensor) else abs(dt - step)
     if not off <= 1e-6 * step:
         received = "steps that differ" if isinstance(dt, Tensor) else f"{dt:.6g}"

@@ -1,8 +1,8 @@
-"""Maps of one step that are symplectic by construction: compositions of shears, without a field.
+"""Symplectic one-step maps: compositions of shears, without a vector field.
 
 A shear adds the gradient of a function of the positions to the momenta, or of the momenta to the positions;
-compositions of them conserve areas exactly, whatever the functions are. One scale for all positions and one
-for all momenta keep that true in physical units.
+compositions of shears are exactly symplectic for any functions. One scale for all positions and one for all
+momenta preserves this in physical units.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ from ahnn.statistics import Statistics
 from ahnn.types import TimeStep
 
 Conformal = Literal["block", "none"]
-"""Scalings that leave a symplectic map symplectic."""
+"""Scalings that preserve symplecticity."""
 Layers = Annotated[int, Within(1, 1000)]
-"""How many layers a map has: more are a mistake, and take minutes to be made."""
+"""Limit on the number of layers: larger numbers are mistakes, and take minutes to build."""
 Moves = tuple[Tensor, Tensor]
-"""What a layer adds to scaled positions and momenta, (B, n) each."""
+"""Increments of scaled positions and momenta by a layer, (B, n) each."""
 
 
 class SymplecticLayer(nn.Module):
-    """A symplectic map of scaled positions and momenta that is near the identity."""
+    """Near-identity symplectic map of scaled positions and momenta."""
 
     @abstractmethod
     def forward(self, q: Tensor, p: Tensor) -> Moves:
-        """Return what is added to positions q and momenta p, (B, n) each."""
+        """Return the increments of positions q and momenta p, (B, n) each."""
 
 
 class Shear(SymplecticLayer):
-    """The gradient of a network of the positions, added to the momenta, or the other way round.
+    """Shear: the gradient of a network of positions added to the momenta, or vice versa.
 
     Args:
-        dof: n.
+        dof: degrees of freedom n.
         network: width, depth, activation.
-        of_positions: whether momenta are moved by a function of positions.
+        of_positions: whether momenta are incremented by a function of positions.
     """
 
     def __init__(self, dof: int, network: dict[str, Any], *, of_positions: bool) -> None:
@@ -50,14 +50,14 @@ class Shear(SymplecticLayer):
         self.network, self.of_positions = make_network(dof, 1, network), of_positions
 
     def forward(self, q: Tensor, p: Tensor) -> Moves:
-        """Return what is added to positions q and momenta p, (B, n) each."""
+        """Return the increments of positions q and momenta p, (B, n) each."""
         if self.of_positions:
             return torch.zeros_like(q), -self.network.gradient(q)
         return self.network.gradient(p), torch.zeros_like(p)
 
 
 class SymplecticMap(StepMap):
-    """Layers that are followed one after the other, from one sample to the next.
+    """Composition of layers from one sample to the next.
 
     Args:
         dof: degrees of freedom n.
@@ -76,7 +76,7 @@ class SymplecticMap(StepMap):
             block.affine.scale.fill_(block.affine.scale.max())
 
     def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
-        """Return the increment, shape (B, D): a sum of moves, which keeps its digits.
+        """Return the increment, shape (B, D), as a sum of layer increments, which avoids cancellation.
 
         Raises:
             UserError: dt is not the sampling interval of the training data.

@@ -1,4 +1,4 @@
-"""SympNets (Jin, Zhang, Zhu, Tang & Karniadakis 2020, Neural Networks 132, 166), written from the paper."""
+"""SympNets (Jin, Zhang, Zhu, Tang & Karniadakis 2020, Neural Networks 132, 166), after the paper."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from ahnn.errors import UserError
 
 
 class LinearLayer(SymplecticLayer):
-    """Shears by symmetric matrices in turn, and a shift: any linear symplectic map, if they are enough.
+    """Alternating shears by symmetric matrices, and a shift: any linear symplectic map, given enough shears.
 
     Args:
-        dof: n.
-        shears: how many.
-        of_positions: whether the first moves momenta.
+        dof: degrees of freedom n.
+        shears: number of shears.
+        of_positions: whether the first shear changes momenta.
     """
 
     def __init__(self, dof: int, shears: int, *, of_positions: bool) -> None:
@@ -29,7 +29,7 @@ class LinearLayer(SymplecticLayer):
         self.of_positions = of_positions
 
     def forward(self, q: Tensor, p: Tensor) -> Moves:
-        """Return what is added to positions q and momenta p, (B, n) each."""
+        """Return the increments of positions q and momenta p, (B, n) each."""
         moved_q, moved_p = torch.zeros_like(q), torch.zeros_like(p)
         for k, half in enumerate(self.halves):
             if (k % 2 == 0) == self.of_positions:
@@ -40,12 +40,12 @@ class LinearLayer(SymplecticLayer):
 
 
 class ActivationLayer(SymplecticLayer):
-    """A function of each position, added to its momentum, or the other way round.
+    """Function of each position added to its momentum, or vice versa.
 
     Args:
-        dof: n.
-        activation: the function.
-        of_positions: whether momenta are moved.
+        dof: degrees of freedom n.
+        activation: name of the function.
+        of_positions: whether momenta are changed.
     """
 
     def __init__(self, dof: int, activation: ActivationName, *, of_positions: bool) -> None:
@@ -54,7 +54,7 @@ class ActivationLayer(SymplecticLayer):
         self.activation, self.of_positions = ACTIVATIONS[activation], of_positions
 
     def forward(self, q: Tensor, p: Tensor) -> Moves:
-        """Return what is added to positions q and momenta p, (B, n) each."""
+        """Return the increments of positions q and momenta p, (B, n) each."""
         if self.of_positions:
             return torch.zeros_like(q), self.factors * self.activation.value(q)
         return self.factors * self.activation.value(p), torch.zeros_like(p)
@@ -62,15 +62,15 @@ class ActivationLayer(SymplecticLayer):
 
 @final
 class SympNet(SymplecticMap):
-    """A SympNet of gradient modules (G), or of linear and activation modules (LA).
+    """SympNet of gradient modules (G), or of linear and activation modules (LA).
 
     Args:
         dof: degrees of freedom n.
         scaling: block or none.
         form: `G` or `LA`.
-        layers: how many modules of either kind move positions, and as many momenta.
-        shears: of a linear module of LA; None takes 4.
-        network: width of the gradient modules of G and the activation; `depth` has no meaning for either.
+        layers: number of modules of each kind that change positions; as many change momenta.
+        shears: number of shears in a linear module of LA; None for 4.
+        network: width of the gradient modules of G and the activation; `depth` is ignored.
     """
 
     assumes = "a symplectic map (SympNet)"

@@ -1,4 +1,4 @@
-"""A step of any flow together with its state transition dx(t + dt)/dx(t)."""
+"""State transition dx(t + dt)/dx(t) of a step of any flow."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from ahnn.types import Flow, TimeStep
 
 
 def transition(flow: Flow, x: Tensor, dt: TimeStep) -> tuple[Tensor, Tensor]:
-    """Return the states (B, D) after a step from x, one or (B,), and the transitions (B, D, D).
+    """Return the states (B, D) after a step dt, one or (B,), from x, and the transitions (B, D, D).
 
-    A flow that has a method `transition(x, dt)` is asked; exact flows take differences, good to 1e-8.
-    Learned Hamiltonians move variations beside the states, in closed form; any other flow is
+    Uses the flow's method `transition(x, dt)` where it exists. Exact flows use finite differences, accurate
+    to 1e-8; learned Hamiltonians propagate variations with the states, in closed form; other flows are
     differentiated by reverse mode.
     """
     own = getattr(flow, "transition", None)
@@ -27,7 +27,7 @@ def transition(flow: Flow, x: Tensor, dt: TimeStep) -> tuple[Tensor, Tensor]:
     if not torch.is_grad_enabled() and isinstance(flow, HamiltonianDynamics):
         field, method = varied(flow.field), flow.integrator
         if field is not None and isinstance(method, ExplicitRungeKutta | SymmetricComposition):
-            step = column(dt)  # of a member and of its variations
+            step = column(dt)  # one step for a member and its variations
             return moved(lambda z: z + method.increment(cast(Any, field), z, step), x)
     with torch.inference_mode(mode=False):
         x = x.clone() if x.is_inference() else x

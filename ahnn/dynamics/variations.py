@@ -1,8 +1,8 @@
-"""Jacobians of steps with respect to the states where they begin.
+"""Jacobians of integrator steps with respect to their initial states, by variational equations.
 
 A one-step method commutes with derivatives: the Jacobian of a step along dx/dt = f is the same step along
-dY/dt = f_x Y beside it (Hairer, Lubich & Wanner, Geometric Numerical Integration, lemma VI.4.1). So the
-methods are those of any other field, whose states carry their variations.
+dY/dt = f_x Y (Hairer, Lubich & Wanner, Geometric Numerical Integration, lemma VI.4.1). So the integrators
+apply unchanged to states augmented with variations.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from ahnn.jacobians import step_jacobians
 from ahnn.types import VectorField
 
 SAMPLES = 1000
-"""Steps whose Jacobians are formed at once: what they take stays in the cache."""
+"""Number of steps whose Jacobians are formed at once, so that the work fits into the cache."""
 
 StepJacobians = Callable[[Tensor, Tensor, Tensor], Tensor]
 """(theta (P,), states (B, N, D), lengths (B, N)) -> dx(t + dt)/dx(t) of each step, (B, N, D, D)."""
 
 
 def jacobians_of_steps(dynamics: Dynamics, dtype: torch.dtype = torch.float32) -> StepJacobians:
-    """Return the Jacobians of steps, computed in `dtype`: in closed form where the structure is known."""
+    """Return the Jacobians of steps, computed in `dtype`: in closed form for known structures."""
     narrow = copy.deepcopy(dynamics).requires_grad_(False)
     if not isinstance(narrow, HamiltonianDynamics):
         return mapped_jacobians_of_steps(narrow, dtype)
@@ -63,13 +63,13 @@ def own_jacobians(dynamics: Dynamics) -> Callable[[Tensor, Tensor], Tensor]:
     """Return (states (B, N, D), lengths (B, N)) -> Jacobians of steps (B, N, D, D), in float32.
 
     Args:
-        dynamics: whose present parameters are meant.
+        dynamics: dynamics with the parameters to use.
     """
     return partial(jacobians_of_steps(dynamics), parameters_to_vector(dynamics.parameters()).detach())
 
 
 def mapped_jacobians_of_steps(dynamics: Dynamics, dtype: torch.dtype = torch.float32) -> StepJacobians:
-    """Return the Jacobians of steps of any dynamics, by vectorised reverse mode."""
+    """Return the Jacobians of steps for any dynamics, by vectorised reverse mode."""
     increment, own = parametrised(dynamics, dynamics.increment, dtype), dynamics.own_step
 
     def jacobians(theta: Tensor, states: Tensor, lengths: Tensor) -> Tensor:
@@ -83,13 +83,13 @@ def mapped_jacobians_of_steps(dynamics: Dynamics, dtype: torch.dtype = torch.flo
 
 
 def jacobian_along(function: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
-    """Return df/dx, shape (B, M, D), at x, shape (B, D), of a function of x and its variations."""
+    """Return df/dx, shape (B, M, D), at x, shape (B, D), of a function of states with variations."""
     one = torch.eye(x.shape[1]).to(x).expand(len(x), -1, -1)
     return function(torch.cat((x.unsqueeze(1), one), dim=1))[:, 1:].mT
 
 
 def varied(field: nn.Module) -> VectorField | None:
-    """Return the field of states with their variations, (B, 1 + D, D); None where it is not known."""
+    """Return the field of states with their variations, (B, 1 + D, D); None where it is unknown."""
     if isinstance(field, Forced):
         inner = varied(field.hamiltonian)
         return None if inner is None else ForcedVariations(field, inner)
@@ -111,7 +111,7 @@ class GenericVariations:
 
 
 class SeparableVariations:
-    """The same for H = T(p) + V(q)."""
+    """Variational equations for H = T(p) + V(q)."""
 
     def __init__(self, field: SeparableHamiltonian) -> None:
         self.kinetic, self.potential = field.energies
@@ -131,7 +131,7 @@ class SeparableVariations:
 
 
 class ForcedVariations:
-    """The same for Hamilton's equations with forces beside them."""
+    """Variational equations for Hamilton's equations with forces."""
 
     def __init__(self, field: Forced, inner: VectorField) -> None:
         self.field, self.inner = field, inner
@@ -149,6 +149,6 @@ class ForcedVariations:
 
 @torch.no_grad()
 def _slope(energy: Energy | GenericHamiltonian, x: Tensor) -> Tensor:
-    """Return dE/dx of the first row and how it moves with the others, in the shape of x, (B, 1 + D, n)."""
+    """Return dE/dx at the first row and its variations along the others, shape of x, (B, 1 + D, n)."""
     gradient, hessian = energy.derivatives(x[:, 0])
     return torch.cat((gradient.unsqueeze(1), x[:, 1:] @ hessian), dim=1)

@@ -1,4 +1,4 @@
-"""What every estimator shares: beliefs, the state it carries, its gate, scenarios, and its consistency."""
+"""Common foundations of estimators: beliefs, states, gating, evaluation scenarios and consistency tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The least-squares problem of a batch of arcs: residuals of paths from their starts, with derivatives."""
+"""Residuals of a batch of arcs and their derivatives with respect to initial states, for least squares."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from ahnn.measurements import residual
 from ahnn.types import Flow
 
 DIFFERENCE = 1e-3
-"""Half width of a central difference, in standard deviations of the prior."""
+"""Half-width of central differences, in prior standard deviations."""
 
 
 class Arc(NamedTuple):
-    """Measurements of B members, and what they are held against.
+    """Measurements of B members, with process model and prior.
 
     Attributes:
-        flow: taken as exact.
-        grid: T steps.
-        rows: (B, T, M).
-        measured: steps at the end of which anything was measured, increasing.
-        sensor: of the rows.
-        prior: of the start.
+        flow: process model, assumed exact.
+        grid: the T time steps.
+        rows: (B, T, M) measurements, NaN where missing.
+        measured: increasing indices of steps that end with a measurement.
+        sensor: measurement model of the rows.
+        prior: prior of the initial state.
     """
 
     flow: Flow
@@ -40,19 +40,19 @@ class Arc(NamedTuple):
     prior: Belief
 
     def first(self, count: int) -> Arc:
-        """Return the arc up to its first measurements."""
+        """Return the arc truncated after its first measurements."""
         return self._replace(measured=self.measured[:count])
 
 
 class Fit(NamedTuple):
-    """Paths from starts, held against measurements and prior.
+    """Paths from initial states, with residuals of measurements and prior.
 
     Attributes:
-        states: (B, N + 1, D) up to the last measurement of the arc.
-        moved: (B, N + 1, D, D) their derivatives with respect to the start.
-        residuals: (B, R) of measurements and prior, in standard deviations.
-        design: (B, R, D) derivatives of the residuals with respect to the start.
-        sums: (B,) of the squared residuals; inf for a path that is lost.
+        states: (B, N + 1, D) states up to the last measurement of the arc.
+        moved: (B, N + 1, D, D) their derivatives with respect to the initial state.
+        residuals: (B, R) residuals of measurements and prior, in standard deviations.
+        design: (B, R, D) derivatives of the residuals with respect to the initial state.
+        sums: (B,) sums of squared residuals; inf for a diverged path.
     """
 
     states: Tensor
@@ -63,10 +63,10 @@ class Fit(NamedTuple):
 
 
 def followed(arc: Arc, start: Tensor) -> Fit:
-    """Return the paths from starts (B, D), and how well they fit.
+    """Propagate initial states (B, D) and evaluate their residuals.
 
-    Derivatives are central differences over a small fraction of the prior's deviations: any flow will do, and
-    all paths are followed at once.
+    Derivatives are central differences over a small fraction of the prior's deviations: any flow is
+    supported, and all paths are propagated in one batch.
     """
     steps = arc.measured[-1] + 1 if arc.measured else 0
     half = DIFFERENCE * deviations(arc.prior.chol)
@@ -91,21 +91,21 @@ def followed(arc: Arc, start: Tensor) -> Fit:
 
 
 def _row(arc: Arc, k: int, x: Tensor, moved: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the residuals (B, M) of the states at the end of step k, and their derivatives (B, M, D)."""
+    """Return the residuals (B, M) at the end of step k, and their derivatives (B, M, D)."""
     off, slope = _residual(arc, k, x), pointwise_jacobian(lambda z: _residual(arc, k, z), x) @ moved
     white = _whitened(arc, k, torch.cat((off.unsqueeze(-1), slope), dim=-1))
     return white[..., 0], white[..., 1:]
 
 
 def _residual(arc: Arc, k: int, x: Tensor) -> Tensor:
-    """Return predicted - measured (B, M) of states at the end of step k, 0 where nothing was measured."""
+    """Return predicted - measured (B, M) at the end of step k, 0 for missing components."""
     model, y = arc.sensor.measurement, arc.rows[:, k]
     difference = -residual(model, y.nan_to_num(), model(x, float(arc.grid.times[k])))
     return torch.where(y.isnan(), torch.zeros_like(difference), difference)
 
 
 def _whitened(arc: Arc, k: int, values: Tensor) -> Tensor:
-    """Return values (B, M, N) of step k in standard deviations of the components that were measured."""
+    """Return values (B, M, N) of step k whitened by the noise of the measured components."""
     present = ~arc.rows[:, k].isnan()
     noise = arc.sensor.chol_r @ arc.sensor.chol_r.mT
     pairs = present.unsqueeze(-1) & present.unsqueeze(-2)

@@ -1,6 +1,6 @@
-"""Checks at the entrance of a filter, so that its kernel can trust what it is given.
+"""Validation of filter arguments, so that kernels can rely on their inputs.
 
-Covariances go on as factors, numbers of any kind as float64 tensors.
+Covariances are converted to factors, and numbers of any kind to float64 tensors.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ahnn.numbers import Numbers, as_float64, described
 
 
 def check_belief(belief: Belief) -> None:
-    """Raise ValueError for what is no float64 belief of at least one member."""
+    """Raise ValueError for anything but a float64 belief of at least one member."""
     if not isinstance(belief, Belief):
         message = f"belief: expected a Belief; received {described(belief)}; use initial_belief"
         raise UserError(message)
@@ -36,7 +36,7 @@ def check_belief(belief: Belief) -> None:
 
 
 def check_state(state: MemberState, kind: type[MemberState] = FilterState) -> None:
-    """Raise ValueError for what is no state of the filter, or one with a belief that is none."""
+    """Raise ValueError for anything but a filter state with a valid belief."""
     if not isinstance(state, kind):
         message = f"state: expected a {kind.__name__}; received {described(state)}; use start"
         raise UserError(message)
@@ -49,7 +49,7 @@ def checked_sensor(
     """Return a measurement model with the factor of its noise R, (M, M) or (B, M, M).
 
     Raises:
-        ValueError: no measurement model, or no covariance.
+        ValueError: not a measurement model, or not a covariance.
     """
     missing = [name for name in ("names", "__call__") if not hasattr(measurement, name)]
     if missing:
@@ -71,13 +71,13 @@ def checked_rows(values: Numbers, who: str, shape: tuple[int | str, ...], device
     """Return measurements as float64.
 
     Args:
-        values: of the shape, NaN where a component is missing.
-        who: what they are called in messages.
-        shape: what they must have; the letter T stands for any length of at least 1.
-        device: of the result.
+        values: measurements, NaN where a component is missing.
+        who: parameter name for messages.
+        shape: required shape; the letter T stands for any length of at least 1.
+        device: device of the result.
 
     Raises:
-        ValueError: another shape, or infinite values.
+        ValueError: wrong shape, or infinite values.
     """
     rows = as_float64(values, who, device)
     received = tuple(rows.shape)
@@ -98,7 +98,7 @@ def checked_rows(values: Numbers, who: str, shape: tuple[int | str, ...], device
 
 
 def checked_time(time: float, name: str) -> float:
-    """Return a time; raises ValueError for one that is not finite."""
+    """Return a finite time; raises ValueError otherwise."""
     if not isinstance(time, int | float) or not math.isfinite(time):
         message = f"{name}: expected a finite number; received {time}"
         raise ValueError(message)
@@ -106,15 +106,15 @@ def checked_time(time: float, name: str) -> float:
 
 
 def checked_step(dt: Numbers) -> float:
-    """Return the length of one step; raises as `checked_steps`."""
+    """Return the length of one step; raises the errors of `checked_steps`."""
     return dt if isinstance(dt, float) and 0.0 < dt < math.inf else float(checked_steps(dt))
 
 
 def checked_steps(dt: Numbers, steps: int | None = None) -> Tensor:
-    """Return the length () of every step, or of T = `steps` steps their lengths (T,), as float64.
+    """Return the common step length (), or the lengths (T,) of T = `steps` steps, as float64.
 
     Raises:
-        ValueError: another shape, or a length that is not finite or not positive.
+        ValueError: wrong shape, or a length that is not finite or not positive.
     """
     lengths = as_float64(dt, "dt")
     wrong = lengths[~((lengths > 0.0) & lengths.isfinite())]

@@ -1,9 +1,9 @@
-"""Batch least squares: the start of an arc that fits all of its measurements and a prior best.
+"""Batch least squares: the initial state of an arc that best fits all measurements and a prior.
 
-The classical estimator of orbit determination (Tapley, Schutz & Born 2004, section 4.6), with the flow taken
-as exact: the unknown is the start alone, its residuals are divided by their standard deviations, and
-Gauss-Newton steps, damped member by member, go over growing spans. The covariance is that of the linear
-problem at the solution, carried along the path: it knows measurements and prior, and no error of the flow.
+The classical estimator of orbit determination (Tapley, Schutz & Born 2004, section 4.6), with an exact flow:
+the only unknown is the initial state, residuals are normalised by their standard deviations, and Gauss-Newton
+steps with individual damping are taken over growing spans. The covariance is that of the linearised problem
+at the solution, propagated along the path: it includes measurement noise and prior, but no error of the flow.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from ahnn.shooting.initial_states import GROWTH, SHORTEST, damped_moves
 from ahnn.types import Flow
 
 ROUGHLY, ITERATIONS = 3, 20
-"""Steps on a span that is still to grow, and on the last one, at most."""
+"""Maximum number of iterations on a growing span, and on the complete one."""
 SETTLED = 1e-7
-"""Change of the cost, as a fraction of it, that is none."""
+"""Relative change of the cost below which the iteration has converged."""
 CAREFUL, EAGER = 1e-3, 1e-6
-"""Damping at first of a span that is still to grow, and of the last one."""
+"""Initial damping on a growing span, and on the complete one."""
 SMALLEST, LARGEST = 1e-12, 1e9
-"""Its range."""
+"""Range of the damping."""
 
 
 class BatchResult(NamedTuple):
-    """What `batch_least_squares` returns.
+    """Result of `batch_least_squares`.
 
     Attributes:
-        initial: belief about the start.
-        means: (B, T, D) along the path; NaN of a member that is lost.
+        initial: belief about the initial state.
+        means: (B, T, D) means along the path; NaN for a diverged member.
         chols: (B, T, D, D) lower factors.
         cost: (B,) squared residuals of measurements and prior, in standard deviations: chi-square with as
-            many degrees of freedom as numbers were measured, where the flow is exact.
-        measured: (B, T) int64, components that were there.
+            many degrees of freedom as measured numbers, if the flow is exact.
+        measured: (B, T) int64, number of measured components.
         status: (B,) int64, see `Status`.
-        settled: (B,) bool, whether the last step changed nothing.
+        settled: (B,) bool, whether the iteration converged.
     """
 
     initial: Belief
@@ -57,7 +57,7 @@ class BatchResult(NamedTuple):
     settled: Tensor
 
     def of_states(self, size: int) -> BatchResult:
-        """Return what it says of the first components: marginals, as leading blocks."""
+        """Return the marginals of the leading components, as leading blocks."""
         return self._replace(
             initial=leading(self.initial, size),
             means=self.means[..., :size],
@@ -76,19 +76,19 @@ def batch_least_squares(
     *,
     start_time: float = 0.0,
 ) -> BatchResult:
-    """Return the starts that fit measurements and prior best, and the paths from them.
+    """Estimate the initial states that best fit measurements and prior, and their paths.
 
     Args:
-        flow: the process model, taken as exact.
-        belief: prior of the start, see `initial_belief`.
+        flow: the process model, assumed exact.
+        belief: prior of the initial state, see `initial_belief`.
         measurements: (B, T, M), NaN where a component is missing.
-        measurement: the model of the measurements.
+        measurement: measurement model.
         measurement_noise: R, (M, M) or (B, M, M), positive definite.
         dt: length of every step, or (T,) lengths.
         start_time: time of the belief.
 
     Raises:
-        ValueError: names the parameter, as a filter does.
+        ValueError: invalid argument, named as by a filter.
     """
     check_belief(belief)
     sensor = checked_sensor(measurement, measurement_noise, belief, None)
@@ -106,7 +106,7 @@ def batch_least_squares(
 
 
 def _refined(arc: Arc, start: Tensor, iterations: int, first: float) -> tuple[Fit, Tensor]:
-    """Return the fit after at most so many steps, each member damped by itself, and who has settled."""
+    """Iterate with damping per member, at most `steps` times; return fit and mask of converged members."""
     fit, damping = followed(arc, start), start.new_full((len(start),), first)
     settled = ~fit.sums.isfinite()
     for _ in range(iterations):
@@ -121,12 +121,12 @@ def _refined(arc: Arc, start: Tensor, iterations: int, first: float) -> tuple[Fi
 
 
 def _result(arc: Arc, fit: Fit, settled: Tensor) -> BatchResult:
-    """Return the beliefs along the whole arc, also after its last measurement."""
+    """Return beliefs along the whole arc, including after its last measurement."""
     whole = followed(arc._replace(measured=[len(arc.grid.lengths) - 1]), fit.states[:, 0])
     parts = (fit.sums[:, None, None], fit.design, whole.states, whole.moved.flatten(2))
     sound = torch.stack([part.isfinite().all(-1).all(-1) for part in parts]).all(0)
     unit = torch.eye(whole.states.shape[-1]).to(whole.states).expand(len(sound), -1, -1)
-    # The covariance is the inverse of the normal matrix, whose root is a triangle.
+    # The covariance is the inverse of the normal matrix, which has a triangular square root.
     triangle = tria(_where(sound, fit.design, torch.ones_like(fit.design)))
     root = torch.linalg.solve_triangular(triangle, unit, upper=False).nan_to_num()
     chols = tria((whole.moved.nan_to_num() @ root.mT.unsqueeze(1)).mT.flatten(0, 1))
@@ -144,5 +144,5 @@ def _result(arc: Arc, fit: Fit, settled: Tensor) -> BatchResult:
 
 
 def _where(condition: Tensor, yes: Tensor, no: Tensor) -> Tensor:
-    """Return values picked member by member."""
+    """Select values member by member."""
     return torch.where(condition.reshape(-1, *[1] * (yes.ndim - 1)), yes, no)

@@ -1,4 +1,4 @@
-"""What every estimator speaks of: a Gaussian belief, and what became of a member."""
+"""Gaussian beliefs of all estimators, and the status of members."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Belief(NamedTuple):
 
 
 class Status(IntEnum):
-    """What became of one member of the batch."""
+    """Status of one member of the batch."""
 
     OK = 0
     NOT_FINITE = 1
@@ -35,13 +35,13 @@ class Status(IntEnum):
     COLLAPSED = 2
     """A variance is not positive, or the innovation covariance is singular."""
     DIVERGED = 3
-    """The gate rejected too many measurements in a row."""
+    """The gate rejected too many consecutive measurements."""
     IMPRECISE = 4
-    """Rounding may exceed a fraction of a standard deviation: too few digits for noise so small."""
+    """Rounding may exceed a fraction of a standard deviation: float64 is too coarse for such small noise."""
 
 
 def choose(condition: Tensor, yes: Belief, no: Belief) -> Belief:
-    """Return beliefs picked member by member; condition (B,) bool."""
+    """Select beliefs member by member; condition (B,) bool."""
     return Belief(
         torch.where(condition[:, None], yes.mean, no.mean),
         torch.where(condition[:, None, None], yes.chol, no.chol),
@@ -49,5 +49,5 @@ def choose(condition: Tensor, yes: Belief, no: Belief) -> Belief:
 
 
 def leading(belief: Belief, size: int) -> Belief:
-    """Return the marginal of the first components: the leading block of a lower factor is its factor."""
+    """Return the marginal of the leading components: the leading block of a lower factor is its factor."""
     return Belief(belief.mean[..., :size], belief.chol[..., :size, :size])

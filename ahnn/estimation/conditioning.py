@@ -1,4 +1,4 @@
-"""A Gaussian belief given a measurement, from the triangle of both together."""
+"""Conditioning of a Gaussian belief on a measurement, from the joint triangular factor."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ahnn.estimation.rounding import LIMIT
 
 
 def present_noise(chol_r: Tensor, present: Tensor) -> Tensor:
-    """Return rows (B, 2 M, M) of the noise; a missing component has variance one and no correlation."""
+    """Return noise rows (B, 2 M, M); a missing component has variance one and no correlation."""
     noise = chol_r.mT
     if not bool(present.all()):
         noise = torch.where(present.unsqueeze(1), noise, 0.0)
@@ -27,23 +27,23 @@ def conditioned(
     """Return the posterior (Kailath, Sayed & Hassibi 2000, chapter 12).
 
     Args:
-        prior: (B, D).
+        prior: (B, D) prior mean.
         joint: (B, M + D, M + D) lower factor of the covariance of measurement, noise included, and state:
             [[chol_y, 0], [cross, chol]]. A missing component has variance one and no correlation.
         innovation: (B, M), zero where the component is missing.
         y: (B, M), NaN where missing.
-        repaired: (B,) bool, which factors had to be mended; None where there was nothing to.
+        repaired: (B,) bool, whether the factor was repaired; None if no repair was needed.
     """
     size, present = y.shape[-1], ~torch.isnan(y)
     chol_y, cross, chol = joint[:, :size, :size], joint[:, size:, :size], joint[:, size:, size:]
     diagonal = torch.diagonal(chol_y, dim1=-2, dim2=-1)
-    # A deviation that the numbers it is the difference of do not resolve is none.
+    # Deviations below the rounding of the numbers subtracted are zero.
     sizes = chol_y.norm(dim=-1) + y.nan_to_num().abs() + innovation.abs()
     singular = (diagonal <= EPS / LIMIT * sizes.detach()).any(-1)
     white = torch.linalg.solve_triangular(chol_y, innovation.unsqueeze(-1), upper=False)
     mean = prior.mean + (cross * white.mT).sum(-1)
     nis = white.square().sum((-2, -1))
-    # An integer tensor times a float would be float32.
+    # An integer tensor times a float would become float32.
     count = present.sum(-1).to(nis.dtype)
     log_likelihood = -0.5 * (nis + count * math.log(2.0 * math.pi)) - diagonal.log().sum(-1)
     repairs = None if repaired is None else repaired.to(torch.int64)

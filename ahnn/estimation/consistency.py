@@ -1,8 +1,8 @@
-"""Does a filter know how wrong it is? NEES, NIS, coverage, and the bands in which they should lie.
+"""Consistency tests of filters: NEES, NIS, coverage and their acceptance bands.
 
 Definitions and bands: Bar-Shalom, Li & Kirubarajan 2001, section 5.4. Innovations of a consistent filter
-are white: the NIS of all members and times are independent. Its errors are not: what pulls an estimate off
-now does so for a while, and the NEES of one member at many times count as few.
+are white: the NIS of all members and times are independent. Its errors are correlated in time, and the NEES
+of one member at many times count as fewer independent values.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from torch import Tensor
 from ahnn.numbers import chi_square_quantile
 
 GAUSSIAN = {1: 0.6826894921370859, 2: 0.9544997361036416, 3: 0.9973002039367398}
-"""Probability of an error within so many standard deviations, erf(k / sqrt 2)."""
+"""Probability of an error within 1, 2 and 3 standard deviations, erf(k / sqrt 2)."""
 
 
 def nees(error: Tensor, chol: Tensor) -> Tensor:
     """Return the normalised estimation errors squared eᵀ P⁻¹ e, shape (B, T).
 
     Args:
-        error: (B, T, D) estimate less truth, NaN where either is missing.
+        error: (B, T, D) estimate minus truth, NaN where either is missing.
         chol: (B, T, D, D) lower factors of P.
     """
     white = torch.linalg.solve_triangular(chol, error.unsqueeze(-1), upper=False).squeeze(-1)
@@ -28,16 +28,16 @@ def nees(error: Tensor, chol: Tensor) -> Tensor:
 
 
 def band(degrees: float, count: float, probability: float = 0.95) -> tuple[float, float]:
-    """Return where the mean of `count` independent chi-square variables lies with a probability.
+    """Return the central band of the mean of `count` independent chi-square variables.
 
     The sum of N variables with m degrees of freedom each is chi-square with N m (Bar-Shalom, Li &
     Kirubarajan 2001, section 5.4.2).
 
     Args:
-        degrees: of freedom of each: D for a NEES, M for a NIS; the mean of them where they differ.
-        count: N: members for the mean over members at one time; for means over members and times, all rows
-            for a NIS and `independent_count` for a NEES.
-        probability: of the band, which leaves out as much below as above.
+        degrees: degrees of freedom of each: D for a NEES, M for a NIS; their mean where they differ.
+        count: number N of values: members for the mean over members at one time; for means over members and
+            times, all rows for an NIS and `independent_count` for a NEES.
+        probability: probability of the band, with equal tails.
     """
     count = max(count, 1)
     tail = (1 - probability) / 2
@@ -46,13 +46,13 @@ def band(degrees: float, count: float, probability: float = 0.95) -> tuple[float
 
 
 def independent_count(values: Tensor) -> float:
-    """Return how many independent values (B, T) correlated ones are worth, for the variance of their mean.
+    """Return the effective number of independent values among (B, T), for the variance of their mean.
 
-    N values of independent members are worth N over their `correlation_time` (Bayley & Hammersley 1946),
-    never more than N nor less than one for each member.
+    The effective number of N values is N over their `correlation_time` (Bayley & Hammersley 1946), at most N
+    and at least one per member.
 
     Args:
-        values: (B, T), NaN where missing; row b of a member holds all that it depends on.
+        values: (B, T), NaN where missing; each row contains all values correlated with one another.
     """
     there = values.isfinite()
     count = float(there.sum())
@@ -62,11 +62,11 @@ def independent_count(values: Tensor) -> float:
 
 
 def correlation_time(values: Tensor) -> float | None:
-    """Return 1 + 2 sum_k (1 - k/T) rho_k of values (B, T), in samples; None where nothing varies.
+    """Return 1 + 2 sum_k (1 - k/T) rho_k of values (B, T), in samples; None for constant values.
 
-    The autocorrelations rho_k are estimated from all members, and summed up to the first pair of lags whose
-    sum is not positive (Geyer 1992, section 3.3: beyond it is noise). A first-order Gauss-Markov process that
-    keeps the fraction a from sample to sample has (1 + a) / (1 - a), for large T.
+    The autocorrelations rho_k are estimated from all members, and summed up to the first pair of lags with a
+    non-positive sum (Geyer 1992, section 3.3: beyond it is noise). A first-order Gauss-Markov process with
+    lag-one correlation a has (1 + a) / (1 - a), for large T.
 
     Args:
         values: (B, T), NaN where missing.
@@ -77,7 +77,7 @@ def correlation_time(values: Tensor) -> float | None:
         return None
     centred = torch.where(there, values - values[there].mean(), 0.0)
     products, pairs = (_lagged_sums(part) for part in (centred, there.to(values.dtype)))
-    # A lag that no member has twice counts nothing.
+    # Lags without any pair of values contribute nothing.
     covariance = torch.where(pairs > 0.5, products / pairs.clamp(min=1.0), 0.0)
     if not float(covariance[0]) > 0.0:
         return None
@@ -103,11 +103,11 @@ def coverage(error: Tensor, deviation: Tensor) -> dict[int, float]:
 
 
 def share_within(series: Tensor, limits: tuple[float, float]) -> float:
-    """Return the fraction of the finite values of a series, (T,), that lie within limits."""
+    """Return the fraction of finite values of a series, (T,), within limits."""
     values = series[series.isfinite()]
     return float(((values >= limits[0]) & (values <= limits[1])).double().mean())
 
 
 def deviations(chol: Tensor) -> Tensor:
-    """Return the standard deviations (..., D) that belong to lower factors (..., D, D)."""
+    """Return the standard deviations (..., D) of lower factors (..., D, D)."""
     return chol.square().sum(-1).sqrt()

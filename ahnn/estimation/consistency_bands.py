@@ -1,4 +1,4 @@
-"""Means of NEES and NIS, and the bands in which those of a consistent filter lie."""
+"""Means of NEES and NIS, with the acceptance bands of a consistent filter."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ahnn.estimation.results import FilterResult
 
 
 class Judged(NamedTuple):
-    """A mean over members and times, and where it lies with 95 % for a consistent filter."""
+    """Mean over members and times, with its 95 % band for a consistent filter."""
 
     mean: float
     limits: tuple[float, float]
@@ -23,20 +23,20 @@ class Judged(NamedTuple):
         return self.limits[0] <= self.mean <= self.limits[1]
 
     def __str__(self) -> str:
-        """Return mean, verdict and band for a reader."""
+        """Format mean, verdict and band."""
         low, high = self.limits
         return f"{self.mean:.3g} {'in' if self.inside else 'not in'} {low:.3g} to {high:.3g}"
 
     def of_exact_starts(self) -> str:
-        """Return the same of a filter whose start is exact, which makes a mean low and says nothing."""
+        """Return the mean of a filter with exact start, without verdict: the mean is then biased low."""
         low, high = self.limits
         return f"{self.mean:.3g} below {low:.3g} to {high:.3g}" if self.mean < low else str(self)
 
 
 def judged_nees(values: Tensor, degrees: int) -> Judged:
-    """Return the mean of NEES (B, T), NaN where it does not count.
+    """Return the mean of NEES (B, T), NaN where ignored.
 
-    The NEES is correlated in time: its values count as `independent_count` of them.
+    The NEES is correlated in time: the band uses `independent_count` values.
     """
     return Judged(float(values.nanmean()), band(degrees, independent_count(values)))
 
@@ -44,7 +44,7 @@ def judged_nees(values: Tensor, degrees: int) -> Judged:
 def judged_nis(result: FilterResult) -> Judged:
     """Return the mean NIS over accepted rows of all members and times.
 
-    Innovations are white: the sum is chi-square with as many degrees of freedom as numbers were measured.
+    Innovations are white: the sum is chi-square with as many degrees of freedom as measured numbers.
     """
     values = result.nis.masked_fill(result.rejected, torch.nan)
     there = values.isfinite()

@@ -1,4 +1,4 @@
-"""Covariance matrices as users give them: checked, named in errors, and factored."""
+"""Validation and factorisation of user-supplied covariance matrices."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ahnn.estimation.linalg import tria
 from ahnn.numbers import Numbers, as_float64
 
 TOLERANCE = 1e-10
-"""Asymmetry, and negative eigenvalue, that counts as rounding in a matrix scaled to unit diagonal."""
+"""Tolerance for rounding: asymmetry and negative eigenvalues of a matrix scaled to unit diagonal."""
 
 
 class Factor(NamedTuple):
-    """A covariance that is known by its lower factor, in place of a matrix: nothing is left to check.
+    """Covariance given by its lower factor instead of a matrix, without further checks.
 
     Attributes:
         chol: (D, D) or (B, D, D) float64, covariance = chol cholᵀ.
@@ -26,19 +26,19 @@ class Factor(NamedTuple):
 
 
 Covariance = Numbers | Factor
-"""A covariance as a user gives it, or one that was checked and factored before."""
+"""Covariance matrix from a user, or a factor of a checked covariance."""
 
 
 def initial_belief(mean: Numbers, covariance: Numbers) -> Belief:
-    """Return the Gaussian belief that a filter starts from.
+    """Build the initial Gaussian belief of a filter.
 
     Args:
         mean: (B, D) states, B >= 1.
         covariance: (D, D) shared, or (B, D, D); symmetric and positive definite.
 
     Raises:
-        ValueError: if a mean is not finite or complex, or the covariance is not a positive definite (D, D)
-            matrix.
+        ValueError: a mean that is complex or not finite, or a covariance that is not a positive definite (D,
+            D) matrix.
     """
     mean = as_float64(mean, "initial_belief: mean")
     if mean.ndim != 2 or 0 in mean.shape:
@@ -55,20 +55,20 @@ def initial_belief(mean: Numbers, covariance: Numbers) -> Belief:
 
 
 def covariance_factor(matrix: Covariance, name: str, *, batch: int, size: int, definite: bool) -> Tensor:
-    """Return the lower factor, (D, D) or (B, D, D), of a covariance matrix given by a user.
+    """Return the lower factor, (D, D) or (B, D, D), of a user-supplied covariance matrix.
 
-    Gradients flow through it where the components that vary have a positive definite covariance.
+    Differentiable if the components of nonzero variance have a positive definite covariance.
 
     Args:
-        matrix: (D, D) or (B, D, D), or its factor, which is returned as it is.
-        name: what the matrix is called in messages.
-        batch: B.
-        size: D.
-        definite: refuse a singular matrix.
+        matrix: (D, D) or (B, D, D), or its factor, which is returned unchanged.
+        name: name of the matrix in messages.
+        batch: number of members B.
+        size: dimension D.
+        definite: whether to reject a singular matrix.
 
     Raises:
-        ValueError: no numbers, wrong shape, not finite, not symmetric, indefinite, or singular where that is
-            refused.
+        ValueError: not numeric, wrong shape, not finite, not symmetric, indefinite, or singular if
+            `definite`.
     """
     factored = isinstance(matrix, Factor)
     matrix = matrix.chol if isinstance(matrix, Factor) else as_float64(matrix, name)
@@ -80,7 +80,7 @@ def covariance_factor(matrix: Covariance, name: str, *, batch: int, size: int, d
         return matrix
     stacked = matrix.reshape(-1, size, size)
     scale = _check_entries(stacked.detach(), name)
-    # A component of zero variance has a zero row in the factor; gradients of the others flow past it.
+    # A component of zero variance has a zero row in the factor; gradients of the others bypass it.
     still = torch.diagonal(stacked.detach(), dim1=-2, dim2=-1) == 0.0
     chol, info = torch.linalg.cholesky_ex(stacked + torch.diag_embed(still.to(stacked)))
     chol = chol * ~still.unsqueeze(-1)
@@ -92,9 +92,9 @@ def covariance_factor(matrix: Covariance, name: str, *, batch: int, size: int, d
 
 
 def _check_entries(matrix: Tensor, name: str) -> Tensor:
-    """Return scales (B, D), the standard deviations, of matrices that are finite and symmetric.
+    """Check that matrices are finite and symmetric; return their standard deviations (B, D) as scales.
 
-    A component of zero variance, which is correlated with nothing, has scale 1.
+    An uncorrelated component of zero variance has scale 1.
     """
     if not bool(torch.isfinite(matrix).all()):
         message = f"{name}: expected finite entries; received {matrix.tolist()}"
@@ -129,7 +129,7 @@ def _check_entries(matrix: Tensor, name: str) -> Tensor:
 
 
 def _check_eigenvalues(matrix: Tensor, scale: Tensor, failed: Tensor, name: str, definite: bool) -> None:
-    """Raise for the first matrix (B, D, D) whose eigenvalues are not those of a covariance."""
+    """Raise ValueError for the first matrix (B, D, D) with eigenvalues impossible for a covariance."""
     correlation = matrix / (scale.unsqueeze(-1) * scale.unsqueeze(-2))
     for b in torch.nonzero(failed).flatten().tolist():
         smallest = float(torch.linalg.eigvalsh(matrix[b])[0])

@@ -1,19 +1,21 @@
-"""What an estimator is, in protocols as small as their users.
+"""Estimator protocols, from single steps to batches.
 
-    State       what it carries between two calls: a NamedTuple of tensors, so that any of them is saved and
+    State       variables carried between two calls: a NamedTuple of tensors, so that any state is saved and
                 restored bit for bit (`save_state`). It has a time, a status of each member, and moments.
-    Recursive   start, predict, update: pure functions of a state. Streams take no more (`ahnn.assimilation`).
-    Estimator   a Recursive with a name and a gate that also filters whole batches of rows. Evaluations, the
-                fits of process noise and the figures take this (`ahnn.evaluation.estimators`).
-    Kernel      the two formulas of a Gaussian filter. `GaussianFilter` makes an Estimator of one: arguments,
-                gate, missing numbers, status and freezing of members, counts of repairs, smoothing.
+    Recursive   start, predict, update: pure functions of a state, sufficient for streams
+                (`ahnn.assimilation`).
+    Estimator   a Recursive with a name and a gate that also filters whole batches of rows, for evaluations,
+                fits of process noise and figures (`ahnn.evaluation.estimators`).
+    Kernel      the two formulas of a Gaussian filter. `GaussianFilter` turns a kernel into an Estimator: it
+                adds argument checks, gating, missing data, status and freezing of members, counts of
+                repairs, and smoothing.
 
-What is estimated besides the state (a force error, learned parameters) is put behind its components by
-`ahnn.estimation.force_error` and `parameter_error`: an estimator sees longer states and a longer flow.
+Further estimated quantities (a force error, learned parameters) are appended to the state by
+`ahnn.estimation.force_error` and `parameter_error`: an estimator receives augmented states and their flow.
 
-A new Gaussian filter is one module, with a kernel, and one YAML file that names it; see
-`ahnn.evaluation.estimators.EstimatorEvaluation`. Ensembles and particles carry samples, of which others see
-the moments: `ahnn.estimation.sample_filter.SampleFilter` is an Estimator of how they are drawn and weighed.
+A new Gaussian filter consists of one module with a kernel and one YAML file that names it; see
+`ahnn.evaluation.estimators.EstimatorEvaluation`. Ensemble and particle filters carry samples and expose their
+moments: `ahnn.estimation.sample_filter.SampleFilter` is an Estimator defined by sampling and weighting rules.
 """
 
 from __future__ import annotations
@@ -38,17 +40,16 @@ S = TypeVar("S", bound=EstimatorState)
 
 
 class Innovation(NamedTuple):
-    """What one measurement row told, for each of B members; NaN for a member that has failed.
+    """Innovation of one measurement row, for each of B members; NaN for a failed member.
 
     Attributes:
-        residual: (B, M) measurement less prediction, NaN where a component is missing.
-        deviation: (B, M) standard deviations of the residuals under the prediction and R, of those that are
-            there.
-        nis: (B,) normalised innovation squared of the components that are there, of rejected rows too; NaN
-            where nothing is there.
-        measured: (B,) int64, components that are there.
-        rejected: (B,) bool, the gate refused the row.
-        log_likelihood: (B,) log density of the row under the prediction where it was accepted, else 0.
+        residual: (B, M) measurement minus prediction, NaN where a component is missing.
+        deviation: (B, M) predicted standard deviations of the available residuals, R included.
+        nis: (B,) normalised innovation squared of the available components, including rejected rows; NaN
+            without measurements.
+        measured: (B,) int64, number of available components.
+        rejected: (B,) bool, whether the gate rejected the row.
+        log_likelihood: (B,) log predictive density of an accepted row, else 0.
     """
 
     residual: Tensor
@@ -60,54 +61,54 @@ class Innovation(NamedTuple):
 
     @classmethod
     def of_nothing(cls, y: Tensor) -> Innovation:
-        """Return what a row y (B, M) of NaN tells."""
+        """Return the innovation of an empty row y (B, M) of NaN."""
         nothing = torch.zeros(len(y), dtype=torch.int64, device=y.device)
         zeros = nothing.to(y.dtype)
         return cls(y, y, zeros + torch.nan, nothing, nothing.to(torch.bool), zeros)
 
 
 class RecursiveEstimator(Protocol[S]):
-    """An estimator that steps: pure functions of a state that carries everything."""
+    """Recursive estimator: pure functions of a self-contained state."""
 
     @property
     def name(self) -> str:
-        """What rows and numbers of it are called, and its node of the configuration, such as `ukf`."""
+        """Name in tables and of the configuration node, such as `ukf`."""
         ...
 
     @property
     def about(self) -> dict[str, Any]:
-        """Plain values that determine its estimates: a saved state is of no others."""
+        """Plain values that determine its estimates and must match those of a saved state."""
         ...
 
     def start(self, belief: Belief, time: float = 0.0) -> S:
-        """Return the state of a belief that holds at a time."""
+        """Return the state for a belief at a given time."""
         ...
 
     def predict(self, state: S, flow: Flow, dt: float, process_noise: Covariance) -> S:
-        """Return the state after a step dt of the flow, with covariance Q of that step added."""
+        """Propagate the state over a step dt of the flow and add the covariance Q of that step."""
         ...
 
     def update(
         self, state: S, y: Numbers, measurement: Measurement, measurement_noise: Covariance
     ) -> tuple[S, Innovation]:
-        """Return the state given a row y (B, M) measured at the state's time with covariance R.
+        """Condition the state on a row y (B, M) measured at the state's time with covariance R.
 
-        NaN is what was not measured. Sensors that report at the same time are updates one after the other; a
-        measurement at the start is an update before the first prediction.
+        NaN marks missing components. Simultaneous sensors are processed by successive updates; a measurement
+        at the initial time is an update before the first prediction.
         """
         ...
 
 
 class Batch(NamedTuple):
-    """Trajectories to filter, and their model, in the order of `Estimator.run`.
+    """Trajectories to filter and their models, in the argument order of `Estimator.run`.
 
     Attributes:
         flow: the process model.
-        belief: about the B starts.
+        belief: belief about the B initial states.
         measurements: (B, T, M), NaN where a component is missing.
-        measurement: the model of the measurements.
-        process_noise: Q of one step.
-        measurement_noise: R.
+        measurement: measurement model.
+        process_noise: covariance Q of one step.
+        measurement_noise: covariance R.
         dt: length of every step.
     """
 
@@ -121,22 +122,22 @@ class Batch(NamedTuple):
 
 
 class Smoothed(NamedTuple):
-    """What a smoother behind a filter found, and numbers of its own for metrics.json."""
+    """Result of a smoother after a filter, with additional numbers for metrics.json."""
 
     beliefs: SmootherResult
     more: dict[str, Any] = {}  # noqa: RUF012 - never written to
 
 
 class Estimator(RecursiveEstimator[S], Protocol[S]):
-    """A recursive estimator that also takes whole batches of rows."""
+    """Recursive estimator that also processes whole batches of rows."""
 
     @property
     def smoothers(self) -> Mapping[str, Callable[[FilterResult, Batch], Smoothed]]:
-        """Smoothers by name, `smoothed` first: from a run with `smoothing` over a batch to all it knows."""
+        """Smoothers by name, `smoothed` first: functions of a batch run with `smoothing`."""
         ...
 
     def gated(self, gate: Gate | None) -> Self:
-        """Return the same with a gate for improbable rows; None takes all."""
+        """Return a copy with a gate for improbable rows, or None for no gate."""
         ...
 
     def run(
@@ -151,22 +152,21 @@ class Estimator(RecursiveEstimator[S], Protocol[S]):
         *,
         smoothing: bool = False,
     ) -> FilterResult:
-        """Return what it makes of rows (B, T, M); row k is measured at the end of step k.
+        """Filter rows (B, T, M); row k is measured at the end of step k.
 
-        With `smoothing` the result has the laws that `smoother` composes.
+        With `smoothing` the result contains the backward laws needed by `smoother`.
         """
         ...
 
 
 class SensorModel(NamedTuple):
-    """A measurement model and what is believed of it.
+    """Measurement model with its noise and gate.
 
     Attributes:
-        measurement: the model.
+        measurement: measurement model.
         chol_r: (B, M, M) factor of R.
-        thresholds: (M + 1,) largest NIS that is taken, by the number of components that are there; None takes
-            all.
-        patience: rejections in a row that end a member.
+        thresholds: (M + 1,) largest accepted NIS by number of available components; None for no gate.
+        patience: number of consecutive rejections at which a member fails.
     """
 
     measurement: Measurement
@@ -176,19 +176,19 @@ class SensorModel(NamedTuple):
 
 
 class Kernel(Protocol):
-    """What makes a Gaussian filter its own: pure functions of beliefs, of which no member sees another."""
+    """Formulas of a Gaussian filter: pure functions of beliefs, independent for each member."""
 
     @property
     def rounding(self) -> Rounding:
-        """What it amplifies of the rounding of float64."""
+        """Amplification of float64 rounding by the kernel."""
         ...
 
     def predict(
         self, belief: Belief, flow: Flow, dt: float, chol_q: Tensor, *, smoothing: bool = False
     ) -> Predicted:
-        """Return the belief after a step, Q with factor (B, D, D) added; with its backward law if asked."""
+        """Propagate the belief and add Q with factor (B, D, D); optionally return the backward law."""
         ...
 
     def update(self, prior: Belief, y: Tensor, sensor: SensorModel, time: float) -> Updated:
-        """Return the belief given a row y (B, M), NaN where a component is missing."""
+        """Condition the belief on a row y (B, M), NaN where a component is missing."""
         ...

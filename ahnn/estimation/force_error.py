@@ -1,16 +1,16 @@
-"""Process noise with memory that depends on the state: the force of a flow is off by a fraction of itself.
+"""Coloured, state-dependent process noise: a relative error of the flow's force.
 
-A learned force is wrong by about the same fraction everywhere, and wrong in the same direction for a while.
-So each degree of freedom gets one state more, the relative error e of the force, a first-order Gauss-Markov
-process (Tapley, Schutz & Born 2004, section 4.9) that is held over a step:
+A learned force has about the same relative error everywhere, with the same sign for some time. Each degree of
+freedom therefore has an additional state, the relative force error e, a first-order Gauss-Markov process
+(Tapley, Schutz & Born 2004, section 4.9) that is constant over a step:
 
     p' = F_p(x) + e |F_p(x) - p|,   q' = F_q(x) + dt / (2 m) e |F_p(x) - p|,   e' = exp(-dt / memory) e + w,
 
 with w ~ N(0, size² (1 - exp(-2 dt / memory))), which keeps the variance of e at size². The impulse of the
-step, F_p(x) - p, stands for the force: any flow has one. The error is largest where the force is, at perigee,
-where noise of one size for all states is too small; and its memory carries it through many steps. Where a
-state is far from the training data, or the parameters leave the force open, e counts `growth` times: a
-learned force is off by more there.
+step, F_p(x) - p, represents the force and exists for any flow. The error is largest where the force is, at
+perigee, where constant process noise is too small, and it persists over many steps. Far from the training
+data, or where parameters leave the force undetermined, e is multiplied by `growth`, since the learned force
+has larger errors there.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from ahnn.types import Flow, TimeStep
 
 
 class ForceError(NamedTuple):
-    """A relative force error with memory; augmented states are (q, p, e), shape (..., 3 n).
+    """Relative force error with memory; augmented states are (q, p, e), shape (..., 3 n).
 
     Attributes:
         size: standard deviation of each component of e, a number or (B,).
         memory: time constant, in the unit of the flow.
         inertia: the factor m of p = m dq/dt.
-        growth: factor (...) on the error at the states (..., 2 n); None is 1 everywhere.
+        growth: factor (...) on the error at the states (..., 2 n); None for 1 everywhere.
     """
 
     size: Tensor | float
@@ -45,16 +45,16 @@ class ForceError(NamedTuple):
 
     @property
     def about(self) -> list[float]:
-        """Plain numbers that tell one error from another, but for how it grows."""
+        """Plain numbers that identify an error model, except for its growth."""
         return [float(part) for part in self[:3]]
 
     def numbers(self, states: Tensor) -> Tensor:
-        """Return numbers that tell one error from another, at states (B, T, D)."""
+        """Return numbers that identify an error model, at states (B, T, D)."""
         mean = 1.0 if self.growth is None else float(self.growth(states).mean())
         return torch.tensor([*self.about, mean])
 
     def belief(self, belief: Belief) -> Belief:
-        """Return the augmented belief, the error of its stationary law and independent of the state."""
+        """Return the augmented belief, with an independent error in its stationary distribution."""
         mean, chol = belief
         (batch, size), n = mean.shape, mean.shape[1] // 2
         sd = torch.as_tensor(self.size, dtype=mean.dtype, device=mean.device).expand(batch)
@@ -85,7 +85,7 @@ class ForceError(NamedTuple):
         """Return Q of one step of augmented states, (3 n, 3 n) or (B, 3 n, 3 n).
 
         Args:
-            additive: Q of the state itself, (2 n, 2 n) or (B, 2 n, 2 n).
+            additive: covariance Q of the state itself, (2 n, 2 n) or (B, 2 n, 2 n).
             dt: length of the step.
         """
         dof = additive.shape[-1] // 2
@@ -98,16 +98,16 @@ class ForceError(NamedTuple):
         return both
 
     def measurement(self, measurement: Measurement) -> Measurement:
-        """Return a measurement model of augmented states: it sees their first 2 n components."""
+        """Return a measurement model of augmented states that uses their first 2 n components."""
         return OfStates(measurement, lambda x: x[..., : x.shape[-1] // 3 * 2])
 
     def _kept(self, dt: TimeStep) -> Tensor:
-        """Return the fraction of e that a step leaves."""
+        """Return the fraction of e that remains after a step."""
         return torch.exp(-torch.as_tensor(dt / self.memory, dtype=torch.float64))
 
 
 class OfStates:
-    """A measurement model that is shown augmented states without what was added to them."""
+    """Measurement model applied to the leading components of augmented states."""
 
     def __init__(self, model: Measurement, states: Callable[[Tensor], Tensor]) -> None:
         self.model, self.names, self.units = model, model.names, model.units
@@ -119,12 +119,12 @@ class OfStates:
         return self.model(self._states(x), t)
 
     def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return y - y_pred as the model has it."""
+        """Return y - y_pred as defined by the model."""
         return residual(self.model, y, y_pred)
 
 
 def of_states(result: FilterResult, size: int) -> FilterResult:
-    """Return what a filter of augmented states says of the first components: marginals, as leading blocks."""
+    """Return the marginals of a filter result for the leading components of augmented states."""
     return result._replace(
         initial=leading(result.initial, size),
         means=result.means[..., :size],
@@ -137,7 +137,7 @@ def of_states(result: FilterResult, size: int) -> FilterResult:
 
 
 def smoothed_states(result: SmootherResult, size: int) -> SmootherResult:
-    """Return what a smoother of augmented states says of the first components."""
+    """Return the marginals of a smoother result for the leading components of augmented states."""
     return result._replace(
         initial=leading(result.initial, size),
         means=result.means[..., :size],

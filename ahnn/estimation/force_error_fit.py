@@ -1,9 +1,9 @@
-"""Size and memory of a relative force error, from how wrong a flow is on validation trajectories.
+"""Fit of size and memory of a relative force error to a flow's residuals on validation trajectories.
 
-What a step of the flow leaves of the true change of the momenta, over the impulse of that step, is the error
-e of `ForceError` seen directly: its correlation time gives the memory, its root mean square a size. As with Q
-in `process_noise`, the size is then scaled until the mean NEES on validation arcs is D: the error of a
-learned force is no Gauss-Markov process, it differs from orbit to orbit.
+The momentum residual of a step divided by its impulse is a direct observation of the error e of `ForceError`:
+its correlation time gives the memory, its root mean square the size. As with Q in `process_noise`, the size
+is then scaled until the mean NEES on validation arcs is D, since the error of a learned force is not a
+Gauss-Markov process and differs between orbits.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from ahnn.statistics import Statistics
 from ahnn.types import Flow, Trajectories
 
 SCALES = tuple(10.0**k for k in range(-1, 3))
-"""Candidates for the factor of size²."""
+"""Candidate factors of size²."""
 
 
 class FittedForceError(NamedTuple):
-    """A force error whose size² is `scale` times that of one step, with the mean NEES of each candidate."""
+    """Force error with size² equal to `scale` times that of one step, and the mean NEES of each candidate."""
 
     error: ForceError
     scale: float
@@ -47,17 +47,17 @@ def fitted_force_error(
     memory: float | None = None,
     growth: Callable[[Tensor], Tensor] | None = None,
 ) -> FittedForceError:
-    """Return the force error with which a filter is consistent on validation data.
+    """Fit the force error for which a filter is consistent on validation data.
 
     Args:
-        chosen: the filter.
-        setting: measurements and P0.
-        problem: V validation arcs, on which the size is tried.
-        trajectories: of one sampling interval, whose residuals give size and memory.
+        chosen: filter to be tuned.
+        setting: measurement settings and P0.
+        problem: V validation arcs for the choice of size.
+        trajectories: trajectories with a common sampling interval, whose residuals give size and memory.
         inertia: the factor m of p = m dq/dt.
-        size: one that is taken as it is; None takes that of the residuals, scaled.
-        memory: the time constant; None takes that of the residuals.
-        growth: factor on the error at a state; None is 1 everywhere.
+        size: prescribed size; None for that of the residuals, scaled.
+        memory: prescribed time constant; None for that of the residuals.
+        growth: factor on the error at a state; None for 1 everywhere.
     """
     dt = float(Statistics.of(trajectories).dt)
     errors = force_errors(chosen.flow, trajectories, dt, growth)
@@ -75,7 +75,7 @@ def fitted_force_error(
 def force_errors(
     flow: Flow, trajectories: Trajectories, dt: float, growth: Callable[[Tensor], Tensor] | None = None
 ) -> Tensor:
-    """Return the errors e (B, T - 1, n) of a flow on each step, over growth; NaN where there is none."""
+    """Return the errors e (B, T - 1, n) of a flow per step, divided by growth; NaN where undefined."""
     before, after = trajectories.states[:, :-1], trajectories.states[:, 1:]
     dof = before.shape[-1] // 2
     clock = trajectories.clock(clock_of(flow))
@@ -89,7 +89,7 @@ def force_errors(
 
 
 def memory_of(errors: Tensor, dt: float) -> float:
-    """Return the time constant of errors (B, T, n) from their correlation time; 0.1 dt if they have none."""
+    """Return the time constant of errors (B, T, n) from their correlation time; 0.1 dt if uncorrelated."""
     time = correlation_time(errors.movedim(-1, 1).flatten(0, 1))
     kept = 0.0 if time is None else (time - 1) / (time + 1)
     return dt / -math.log(min(max(kept, math.exp(-10.0)), 1 - 1e-12))

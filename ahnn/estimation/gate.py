@@ -1,4 +1,4 @@
-"""When a measurement is too improbable to be taken."""
+"""Chi-square gating of improbable measurements."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ class Gate(NamedTuple):
     """Chi-square gate on whole measurement rows.
 
     Attributes:
-        probability: a row is rejected when its NIS exceeds this quantile of the chi-square law.
-        patience: this many rejections in a row end in `Status.DIVERGED`.
+        probability: a row is rejected when its NIS exceeds this quantile of the chi-square distribution.
+        patience: number of consecutive rejections that lead to `Status.DIVERGED`.
         reopens: they end in nothing, but streams widen the belief then, see `ahnn.estimation.reopening`.
     """
 
@@ -26,11 +26,11 @@ class Gate(NamedTuple):
 
 
 def check_gate(gate: Gate | None, who: str) -> None:
-    """Refuse what is no gate; None is none and passes.
+    """Validate a gate; None means no gate.
 
     Raises:
-        ValueError: the probability is not in (0, 1), or the patience not a whole number of at least 1; begins
-            with `who`.
+        ValueError: the probability is not in (0, 1), or the patience not an integer of at least 1; the
+            message begins with `who`.
     """
     if gate is None:
         return
@@ -45,15 +45,15 @@ def check_gate(gate: Gate | None, who: str) -> None:
 
 @cache
 def thresholds(gate: Gate, width: int, device: torch.device | None = None) -> Tensor:
-    """Return the largest NIS that is taken, (M + 1,), by the number of components that are there.
+    """Return the largest accepted NIS, (M + 1,), by the number of available components.
 
     Args:
-        gate: of whole rows.
-        width: M.
-        device: of the result.
+        gate: gate for whole rows.
+        width: number of components M.
+        device: device of the result.
     """
     values = [0.0, *(_quantile(gate.probability, n) for n in range(1, width + 1))]
-    with torch.inference_mode(mode=False):  # it is kept, and must serve gradients too
+    with torch.inference_mode(mode=False):  # cached, so it must also work with autograd
         return torch.tensor(values, dtype=torch.float64, device=device)
 
 

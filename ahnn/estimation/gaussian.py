@@ -1,4 +1,4 @@
-"""A Gaussian filter from its kernel: one step at a time, or over a whole batch of rows."""
+"""Gaussian filters built from a kernel, for single steps or whole batches of rows."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from ahnn.types import Flow
 
 
 class GaussianFilter(MemberFilter[FilterState]):
-    """A filter of Gaussian beliefs, from its kernel; subclasses are dataclasses."""
+    """Filter of Gaussian beliefs defined by its kernel; subclasses are dataclasses."""
 
     carried: ClassVar[type[MemberState]] = FilterState
 
     @property
     def smoothers(self) -> dict[str, Callable[[FilterResult, Batch], Smoothed]]:
-        """The Rauch-Tung-Striebel smoother."""
+        """Rauch-Tung-Striebel smoother."""
         return {"smoothed": lambda result, _: Smoothed(smoother(result))}
 
     @abstractmethod
@@ -43,7 +43,7 @@ class GaussianFilter(MemberFilter[FilterState]):
         return self.stepper(self.kernel(state.belief), rows, smoothing=smoothing)
 
     def initial(self, belief: Belief, time: float) -> FilterState:
-        """Return the state of a belief; raises ValueError for constants that make no kernel."""
+        """Return the state of a belief; raises ValueError for invalid kernel constants."""
         state = initial_state(belief, time)
         self.kernel(belief)
         return state
@@ -58,12 +58,12 @@ class GaussianFilter(MemberFilter[FilterState]):
         *,
         smoothing: bool = False,
     ) -> tuple[FilterState, Backward | None]:
-        """Return the state after a step of the flow that ends at `time`, and the law back, if asked for."""
+        """Propagate the state over a step ending at `time`; optionally return the backward law."""
         kernel = self.kernel(state.belief)
         return decisions.predict(state, kernel, flow, dt, time, chol_q, smoothing=smoothing)
 
     def updated(
         self, state: FilterState, y: Tensor, sensor: SensorModel
     ) -> tuple[FilterState, Updated, Tensor]:
-        """Return the state given a row (B, M), the update, and which rows the gate rejected, (B,) bool."""
+        """Condition the state on a row (B, M); return state, update, and gate rejections, (B,) bool."""
         return decisions.update(state, self.kernel(state.belief), y, sensor)

@@ -1,6 +1,6 @@
-"""One prediction and one update of a Gaussian filter: what its kernel proposes, decided member by member.
+"""Prediction and update of a Gaussian filter: the kernel's proposal, accepted or rejected per member.
 
-What fails gives its member a status and freezes it, see `ahnn.estimation.state`. Arguments are checked.
+A failed member receives a status and is frozen, see `ahnn.estimation.state`. Arguments are already validated.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def predict(
     *,
     smoothing: bool = False,
 ) -> tuple[FilterState, Backward | None]:
-    """Return the state after a step of the flow that ends at `time`, and the law back, if asked for."""
+    """Propagate the state over a step ending at `time`; optionally return the backward law."""
     predicted = kernel.predict(state.belief, at(flow, state.time), dt, chol_q, smoothing=smoothing)
     after = FilterState(predicted.belief, time, state.steps + 1, *state[3:])
     after = add_repairs(after, predicted.repaired)
@@ -44,7 +44,7 @@ def predict(
 def update(
     state: FilterState, kernel: Kernel, y: Tensor, sensor: SensorModel
 ) -> tuple[FilterState, Updated, Tensor]:
-    """Return the state given the row y (B, M), the update itself, and which rows the gate rejected."""
+    """Condition the state on the row y (B, M); return state, update, and gate rejections."""
     updated, rounding = kernel.update(state.belief, y, sensor, float(state.time)), kernel.rounding
     nothing_refuses = rounding.crowding is None and not bool(state.status.any())
     if updated.sound and nothing_refuses and _within_gate(updated, sensor):
@@ -59,10 +59,10 @@ def _within_gate(updated: Updated, sensor: SensorModel) -> bool:
 
 
 def propagate(flow: Flow, points: Tensor, dt: float) -> Tensor:
-    """Return the points (B, S, D) after the flow, in one call on all of them.
+    """Propagate points (B, S, D) by a single call of the flow.
 
     Raises:
-        ValueError: the flow returns another shape, or complex numbers.
+        ValueError: the flow returns a wrong shape or complex numbers.
     """
     flat = points.reshape(-1, points.shape[-1])
     propagated = flow(flat, dt)
@@ -71,7 +71,7 @@ def propagate(flow: Flow, points: Tensor, dt: float) -> Tensor:
 
 
 def require_states(propagated: object, shape: torch.Size) -> None:
-    """Refuse what a flow returns if it is not states of the shape of its own; raises ValueError."""
+    """Raise ValueError if a flow returns anything but states of its input's shape."""
     if not _is_real(propagated, shape):
         message = (
             f"flow: expected flow(x, dt) to return a real tensor of the shape of x, {tuple(shape)}; "
@@ -84,7 +84,7 @@ def measured(measurement: Measurement, points: Tensor, t: float) -> Tensor:
     """Return the measurements (B, S, M) of the points (B, S, D) at time t.
 
     Raises:
-        ValueError: the model returns another shape, or complex numbers.
+        ValueError: the model returns a wrong shape or complex numbers.
     """
     images = measurement(points, t)
     expected = torch.Size((*points.shape[:-1], len(measurement.names)))
@@ -102,11 +102,11 @@ def _is_real(value: object, shape: torch.Size) -> bool:
 
 
 def checked_prediction(state: Kept) -> Kept:
-    """Give a status to members whose prediction is not finite, or has a variance of zero."""
+    """Assign a status to members whose prediction is not finite or has zero variance."""
     mean, chol = state.belief
     variance = chol.detach().square().sum(-1)
     smallest, largest = torch.aminmax(variance)
-    # NaN is in both and fails both comparisons.
+    # NaN propagates into both results and fails both comparisons.
     if float(smallest) > 0.0 and float(largest) < torch.inf:
         return state
     finite = torch.isfinite(variance).all(-1) & torch.isfinite(mean).all(-1)
@@ -115,7 +115,7 @@ def checked_prediction(state: Kept) -> Kept:
 
 
 def taken(state: FilterState, updated: Updated) -> FilterState:
-    """Return the state after an update that every member takes: what `decided` would return."""
+    """Return the state after an update accepted by every member, equal to that of `decided`."""
     return state._replace(
         belief=updated.belief,
         rejections=torch.zeros_like(state.rejections),
@@ -126,16 +126,16 @@ def taken(state: FilterState, updated: Updated) -> FilterState:
 def decided(
     state: Kept, updated: Updated, y: Tensor, sensor: SensorModel, rounding: Rounding
 ) -> tuple[Kept, Tensor, Tensor]:
-    """Take or refuse an update, member by member.
+    """Accept or reject an update, member by member.
 
     Returns:
-        The state, whose estimates are still those from before the update, which members take the update, and
-        which rows the gate rejected, (B,) bool each.
+        The state with the estimates before the update, the mask of members that accept it, and the mask
+        of rows rejected by the gate, (B,) bool each.
     """
     present = ~torch.isnan(y)
     has_row = present.any(-1)
     mean, chol = updated.belief
-    # A sum of squares is finite where all of its terms are.
+    # A sum of squares is finite if and only if all terms are.
     sizes = chol.square().sum((-2, -1)) + mean.square().sum(-1) + updated.nis
     finite = torch.isfinite(sizes)
     if bool((has_row & (updated.singular | ~finite)).any()):

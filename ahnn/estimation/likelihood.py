@@ -1,9 +1,8 @@
-"""Noise learned from the innovations of a filter, by its likelihood and without any truth.
+"""Maximum-likelihood noise parameters from filter innovations, without known truth.
 
-A filter with the right noise finds the measurements as probable as they are: the log-likelihood of its
-innovations is that of the measurements, given the noise (Schweppe 1965), and gradients flow through the
-filter. The parameters of the noise are free numbers, such as logarithms of standard deviations or of a time
-constant; a quasi-Newton search climbs from a first guess.
+The log-likelihood of the innovations is that of the measurements, given the noise parameters (Schweppe 1965),
+and the filter is differentiable. The parameters are unconstrained numbers, such as logarithms of standard
+deviations or of a time constant; a quasi-Newton method maximises the likelihood from an initial guess.
 """
 
 from __future__ import annotations
@@ -18,16 +17,16 @@ from ahnn.errors import UserError
 from ahnn.estimation.results import FilterResult
 
 LOST = 1e12
-"""Negative log-likelihood of a filter that loses a member."""
+"""Negative log-likelihood assigned to a filter that loses a member."""
 
 
 class Learned(NamedTuple):
-    """What `learned_noise` returns.
+    """Result of `learned_noise`.
 
     Attributes:
-        parameters: (P,) of the largest log-likelihood.
-        deviations: (P,) their standard deviations, from the curvature there; NaN in all where it has no
-            maximum, because the measurements do not determine one of them.
+        parameters: (P,) maximiser of the log-likelihood.
+        deviations: (P,) their standard deviations, from the curvature there; all NaN without a maximum, if
+            the measurements leave a parameter undetermined.
         log_likelihood: sum over all members.
     """
 
@@ -39,21 +38,21 @@ class Learned(NamedTuple):
 def learned_noise(
     filtered: Callable[[Tensor], FilterResult], guess: Tensor, *, iterations: int = 30, step: float = 1e-3
 ) -> Learned:
-    """Return the parameters under which the measurements are most probable.
+    """Estimate the noise parameters of maximum likelihood.
 
     Args:
-        filtered: runs a filter with `gradients=True` with the noise of parameters (P,).
-        guess: (P,) parameters to begin with, of order one: take logarithms.
-        iterations: of the search, at most.
-        step: of the central differences of the gradient, for the deviations.
+        filtered: function that runs a filter with `gradients=True` and noise parameters (P,).
+        guess: (P,) initial parameters of order one, such as logarithms.
+        iterations: maximum number of iterations.
+        step: step of the central differences of the gradient, for the deviations.
 
     Raises:
-        UserError: the guess loses a member of the filter, or gives no gradient.
+        UserError: the guess makes a filter member fail, or has no gradient.
     """
 
     def loss(parameters: Tensor) -> Tensor:
         result = filtered(parameters)
-        # A trial that loses a member is so bad that the search turns back, and yet a number.
+        # A trial that loses a member has a large but finite cost, so that the line search backtracks.
         lost = bool((result.status != 0).any())
         return 0.0 * parameters.sum() + LOST if lost else -result.log_likelihood.sum()
 
@@ -82,7 +81,7 @@ def learned_noise(
 
 
 def _deviations(loss: Callable[[Tensor], Tensor], best: Tensor, step: float) -> Tensor:
-    """Return the roots of the diagonal of the inverse Hessian, (P,), by central differences of gradients."""
+    """Return square roots of the inverse Hessian's diagonal, (P,), by central differences of gradients."""
 
     def gradient(parameters: Tensor) -> Tensor:
         parameters = parameters.requires_grad_()

@@ -11,22 +11,22 @@ EPS = torch.finfo(torch.float64).eps
 def tria(rows: Tensor) -> Tensor:
     """Return the lower L, shape (B, D, D) and diagonal >= 0, with L Lᵀ = rowsᵀ rows.
 
-    By Householder QR, so that the Gram matrix, whose condition number is the square, is never formed.
-    Gradients flow through it where L has full rank.
+    Uses Householder QR, which avoids the Gram matrix with its squared condition number. Differentiable where
+    L has full rank.
 
     Args:
         rows: (B, N, D) with N >= D.
     """
-    # Its derivative needs the orthogonal factor; the triangular one is the same.
+    # The derivative needs the orthogonal factor; the triangular factor is the same.
     mode = "reduced" if torch.is_grad_enabled() and rows.requires_grad else "r"
     upper = torch.linalg.qr(rows, mode=mode).R
     diagonal = torch.diagonal(upper, dim1=-2, dim2=-1)
-    # copysign and not sign: a zero on the diagonal must not wipe out its row.
+    # copysign instead of sign: a zero on the diagonal must not erase its row.
     return (upper * torch.copysign(torch.ones_like(diagonal), diagonal).unsqueeze(-1)).mT
 
 
 def downdate(chol: Tensor, vector: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the lower factor of L Lᵀ - v vᵀ, and which members have one.
+    """Return the lower factor of L Lᵀ - v vᵀ, and a mask of members that have one.
 
     With p = L⁻¹ v, L Lᵀ - v vᵀ = L (I - g p pᵀ)² Lᵀ where g = (1 - sqrt(1 - |p|²)) / |p|². A member with
     |p| >= 1 has no factor and keeps its L.
@@ -43,7 +43,7 @@ def downdate(chol: Tensor, vector: Tensor) -> tuple[Tensor, Tensor]:
     possible = norm2 < 1.0
     root = (1.0 - torch.where(possible, norm2, 0.0)).sqrt()
     p = torch.where(possible.unsqueeze(-1), p, 0.0)
-    # (1 - root) / |p|² without the cancellation.
+    # (1 - root) / |p|² without cancellation.
     factor = (1.0 / (1.0 + root))[:, None, None]
     image = (chol * p.unsqueeze(-2)).sum(-1, keepdim=True)
     lowered = tria((chol - factor * image * p.unsqueeze(-2)).mT)
@@ -51,17 +51,17 @@ def downdate(chol: Tensor, vector: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def cholesky_repaired(covariance: Tensor) -> tuple[Tensor, Tensor]:
-    """Return lower Cholesky factors, mended where the covariance is not positive definite.
+    """Return lower Cholesky factors, repaired where the covariance is not positive definite.
 
-    Mending raises the eigenvalues of the correlation matrix to D eps. Only members that need it are
-    touched, and they are reported.
+    The repair raises the eigenvalues of the correlation matrix to D eps. Only members that need it are
+    changed, and they are reported.
 
     Args:
         covariance: (B, D, D), symmetric.
 
     Returns:
-        Factors (B, D, D) and a (B,) bool that is true where the factor was mended. Matrices that are not
-        finite give NaN, those with a negative or zero variance give zeros; neither counts as mended.
+        Factors (B, D, D) and a (B,) bool that is true where the factor was repaired. Matrices that are not
+        finite give NaN, those with a negative or zero variance give zeros; neither is reported as repaired.
     """
     chol, info = torch.linalg.cholesky_ex(covariance)
     failed = info != 0

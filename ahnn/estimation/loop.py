@@ -1,4 +1,4 @@
-"""The loop of a filter over time, with a model of its own in each step, and what is kept of it."""
+"""Time loop of a filter with step-dependent models and records."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ M = TypeVar("M", bound=MemberState)
 
 
 class StepModel(NamedTuple):
-    """What a filter is told about one step.
+    """Models of one filter step.
 
     Attributes:
         flow: the process model.
-        chol_q: (B, D, D) factor of the process noise.
-        sensor: of the row at the end of the step.
+        chol_q: (B, D, D) factor of the process noise covariance.
+        sensor: measurement model of the row at the end of the step.
     """
 
     flow: Flow
@@ -33,17 +33,17 @@ class StepModel(NamedTuple):
 
 
 class FilterLoop(Protocol[M]):
-    """The steps of one run."""
+    """Step function of one run."""
 
     def __call__(
         self, k: int, state: M, row: Tensor | None, model: StepModel, length: float, time: Tensor
     ) -> tuple[M, StepRecord]:
-        """Return the state after step k, which ends at `time`, and its record; no row is None."""
+        """Return the state after step k, which ends at `time`, and its record; the row may be None."""
         ...
 
 
 def stepper(kernel: Kernel, *, smoothing: bool) -> FilterLoop[FilterState]:
-    """Return the steps of a kernel; with the laws that a smoother needs, if asked for."""
+    """Return the step function of a kernel, optionally with backward laws for a smoother."""
 
     def step(
         k: int,  # noqa: ARG001
@@ -66,14 +66,14 @@ def stepper(kernel: Kernel, *, smoothing: bool) -> FilterLoop[FilterState]:
 def run(
     before: M, rows: Tensor, grid: StepGrid, models: Callable[[int], StepModel], step: FilterLoop[M]
 ) -> FilterResult:
-    """Filter the rows (B, T, M) from a state on; arguments are checked.
+    """Filter rows (B, T, M) from a given state; arguments are already validated.
 
     Args:
-        before: the state at the start.
+        before: initial state.
         rows: measurements, NaN where a component is missing.
-        grid: T steps.
-        models: gives the model of step k, from 0.
-        step: of the filter.
+        grid: the T time steps.
+        models: function that returns the models of step k, from 0.
+        step: step function of the filter.
     """
     empty = rows.isnan().all(-1).all(0).tolist()
     after, records = before, []

@@ -1,8 +1,8 @@
-"""What filters with additive noise share: arguments, gate, missing numbers, status of members, whole batches.
+"""Base class of filters with additive noise: arguments, gating, missing data, member status, batches.
 
-A filter holds no data: all that it knows is in the state, which goes in and comes out, and may be kept, saved
-(`ahnn.estimation.save_state`) and gone on with. Gradients flow through every step. A member that fails gets a
-status and raises nothing, but it may make the gradient of what it shares with others NaN.
+A filter stores no data: all information is in the state, which is passed in and returned, and may be kept,
+saved (`ahnn.estimation.save_state`) and continued. Every step is differentiable. A failed member receives a
+status and raises no error, but may make gradients with respect to shared inputs NaN.
 """
 
 from __future__ import annotations
@@ -40,28 +40,28 @@ M = TypeVar("M", bound=MemberState)
 
 
 class MemberFilter(ABC, Generic[M]):
-    """A filter with additive noise for a batch of B members; an `Estimator` whose subclasses are dataclasses.
+    """Filter with additive noise for a batch of B members; an `Estimator` whose subclasses are dataclasses.
 
     Attributes:
-        carried: class of its states.
-        gate: refuses improbable measurement rows; None takes all.
+        carried: class of the filter's states.
+        gate: gate for improbable measurement rows, or None.
     """
 
     carried: ClassVar[type[MemberState]]
     gate: Gate | None
 
     def __post_init__(self) -> None:
-        """Refuse what is no gate; raises ValueError."""
+        """Raise ValueError for an invalid gate."""
         check_gate(self.gate, "gate")
 
     @property
     @abstractmethod
     def name(self) -> str:
-        """What its rows are called, and its node of the configuration."""
+        """Name in tables and of the configuration node."""
 
     @property
     def definite(self) -> bool:
-        """Whether it needs a measurement noise that is positive definite."""
+        """Whether the filter requires positive definite measurement noise."""
         return False
 
     @property
@@ -76,20 +76,20 @@ class MemberFilter(ABC, Generic[M]):
 
     @abstractmethod
     def initial(self, belief: Belief, time: float) -> M:
-        """Return the state of a belief; raises ValueError for constants that do not fit it."""
+        """Return the state of a belief; raises ValueError for incompatible constants."""
 
     @abstractmethod
     def predicted(
         self, state: M, flow: Flow, dt: float, time: Tensor, chol_q: Tensor, *, smoothing: bool = False
     ) -> tuple[M, Backward | None]:
-        """Return the state after a step of the flow that ends at `time`, and the law back, if asked for."""
+        """Propagate the state over a step ending at `time`; optionally return the backward law."""
 
     @abstractmethod
     def updated(self, state: M, y: Tensor, sensor: SensorModel) -> tuple[M, Updated, Tensor]:
-        """Return the state given a row (B, M), the update, and which rows the gate rejected, (B,) bool."""
+        """Condition the state on a row (B, M); return state, update, and gate rejections, (B,) bool."""
 
     def steps(self, state: M, rows: Tensor, *, smoothing: bool) -> FilterLoop[M]:
-        """Return the steps of a run over rows (B, T, M)."""
+        """Return the step function of a run over rows (B, T, M)."""
         del state, rows
 
         def step(
@@ -109,30 +109,31 @@ class MemberFilter(ABC, Generic[M]):
         return step
 
     def gated(self, gate: Gate | None) -> Self:
-        """Return the same with another gate."""
+        """Return a copy with another gate."""
         return replace(self, gate=gate)  # pyright: ignore[reportArgumentType] - subclasses are dataclasses
 
     def start(self, belief: Belief, time: float = 0.0) -> M:
-        """Return the state of a belief, see `initial_belief`, that holds at a time.
+        """Return the state for a belief, see `initial_belief`, at a given time.
 
         Raises:
-            ValueError: no float64 belief, a time that is not finite, or constants that do not fit it.
+            ValueError: not a float64 belief, a time that is not finite, or incompatible constants.
         """
         check_belief(belief)
         return self.initial(belief, checked_time(time, "time"))
 
     def predict(self, state: M, flow: Flow, dt: float, process_noise: ProcessNoise) -> M:
-        """Return the state after one step of the flow.
+        """Propagate the state over one step of the flow.
 
         Args:
-            state: before the step.
+            state: state before the step.
             flow: any function (x (N, D), dt) -> (N, D).
             dt: length of the step, positive.
-            process_noise: Q of the step, (D, D) or (B, D, D), its `Factor`, or a function of its length.
+            process_noise: covariance Q of the step, (D, D) or (B, D, D), its `Factor`, or a function of its
+                length.
 
         Raises:
-            ValueError: no state, a step that is not positive, a Q that is no covariance, or a flow that
-                returns another shape or complex numbers.
+            ValueError: an invalid state, a step that is not positive, a Q that is not a covariance, or a flow
+                that returns a wrong shape or complex numbers.
         """
         check_state(state, self.carried)
         length = checked_step(dt)
@@ -143,20 +144,20 @@ class MemberFilter(ABC, Generic[M]):
     def update(
         self, state: M, y: Numbers, measurement: Measurement, measurement_noise: Covariance
     ) -> tuple[M, Innovation]:
-        """Return the state given a row that was measured at its time, and what the row told.
+        """Condition the state on a row measured at its time; return state and innovation.
 
-        Rows of several independent sensors are updates one after the other; a row at the start is an update
-        before the first prediction.
+        Rows of several independent sensors are processed by successive updates; a row at the initial time is
+        an update before the first prediction.
 
         Args:
-            state: before the update.
+            state: state before the update.
             y: (B, M), NaN where a component is missing.
-            measurement: the model of the measurement.
-            measurement_noise: R, (M, M) or (B, M, M), or its `Factor`; it may differ from row to row.
+            measurement: measurement model.
+            measurement_noise: covariance R, (M, M) or (B, M, M), or its `Factor`; may vary between rows.
 
         Raises:
-            ValueError: no state, a row of another shape or infinite, an R that is no covariance, or a model
-                that returns another shape or complex numbers.
+            ValueError: an invalid state, a row of the wrong shape or infinite, an R that is not a covariance,
+                or a model that returns a wrong shape or complex numbers.
         """
         check_state(state, self.carried)
         sensor = checked_sensor(
@@ -185,29 +186,29 @@ class MemberFilter(ABC, Generic[M]):
     ) -> FilterResult:
         """Filter a batch of trajectories.
 
-        Step k takes the belief from t_k to t_{k+1} = t_k + dt_k, adds Q, and conditions on row k of the
-        measurements, which were made at t_{k+1}.
+        Step k propagates the belief from t_k to t_{k+1} = t_k + dt_k, adds Q, and conditions on measurement
+        row k, made at t_{k+1}.
 
         Args:
             flow: any function (x (N, D), dt) -> (N, D).
-            belief: about the states at the start, see `initial_belief`; or the state of an earlier run, to go
-                on with its gate, status and time.
-            measurements: (B, T, M), NaN where a component is missing; these and the numbers below may be
+            belief: belief about the initial states, see `initial_belief`; or the state of an earlier run, to
+                continue with its status and time.
+            measurements: (B, T, M), NaN where a component is missing; this and the arguments below may be
                 tensors, arrays or lists.
-            measurement: the model of the measurements.
+            measurement: measurement model.
             process_noise: Q of one step, (D, D) or (B, D, D), or a function of the step's length.
             measurement_noise: R, (M, M) or (B, M, M).
             dt: length of every step, or (T,) lengths; positive.
-            smoothing: keep what `smoother` needs.
-            start_time: time of the initial belief; a state has its own.
-            gradients: keep the graph, to learn from `log_likelihood`, say; costs memory.
+            smoothing: whether to keep the backward laws needed by `smoother`.
+            start_time: time of the initial belief; ignored for a state.
+            gradients: whether to keep the graph, for example to learn from `log_likelihood`; costs memory.
 
         Raises:
-            ValueError: names the parameter: inputs of another type or shape, complex numbers, infinite
-                measurements, matrices that are not covariances, steps that are not positive, or constants
-                that do not fit; from within the loop for a flow or a measurement model that returns
-                another shape, and for a process noise that gives no covariance for one of the lengths.
-                Failures of single members raise nothing: they are in the result's `status`.
+            ValueError: an invalid argument, named in the message: wrong type or shape, complex numbers,
+                infinite measurements, matrices that are not covariances, steps that are not positive, or
+                incompatible constants. Raised within the loop for a flow or measurement model that returns a
+                wrong shape, and for a process noise function that returns no covariance for some length.
+                Failures of single members raise no error and appear in the result's `status`.
         """
         state = self._begun(belief, start_time)
         with torch.set_grad_enabled(gradients):
@@ -223,7 +224,7 @@ class MemberFilter(ABC, Generic[M]):
             return run(state, rows, grid, model, self.steps(state, rows, smoothing=smoothing))
 
     def _begun(self, belief: Belief | M, start_time: float) -> M:
-        """Return the state that a run begins with."""
+        """Return the initial state of a run."""
         if not isinstance(belief, self.carried):
             return self.start(cast(Belief, belief), checked_time(start_time, "start_time"))
         state = cast(M, belief)
@@ -237,7 +238,7 @@ class MemberFilter(ABC, Generic[M]):
 def _told(
     before: MemberState, after: MemberState, y: Tensor, updated: Updated, rejected: Tensor
 ) -> Innovation:
-    """Return what a row told; NaN for members that failed at it or before."""
+    """Return the innovation of a row; NaN for members that failed at it or before."""
     present = ~torch.isnan(y)
     there = present & after.alive[:, None]
     residual, deviation, nis = updated.innovation, updated.deviation, updated.nis

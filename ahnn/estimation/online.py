@@ -1,7 +1,7 @@
-"""An estimator with a learned flow as an online process: Q of a step of any length, with or without memory.
+"""Online process of an estimator with a learned flow: Q for any step length, with or without memory.
 
-What is fitted belongs to one sampling interval h of the training data. Over a step dt it is taken as white
-noise of the same rate, Q dt / h; a force error with memory has a law for any step.
+Q is fitted for the sampling interval h of the training data. For a step dt it is scaled as white noise of
+equal intensity, Q dt / h; a force error with memory is defined for any step.
 """
 
 from __future__ import annotations
@@ -34,18 +34,19 @@ def online_process(
     force_error: ForceError | ParameterError | None = None,
     about: dict[str, Any] | None = None,
 ) -> Process:
-    """Return the online process of an estimator.
+    """Build the online process of an estimator.
 
     Args:
-        estimator: with its gate.
+        estimator: estimator with its gate.
         flow: the process model, for steps of up to `interval`.
-        interval: h, the longest step, and the one that `process_noise` is of.
-        process_noise: Q of one step of h, (D, D).
-        force_error: of the force, relative and with memory, or of the parameters, besides Q.
-        about: plain values that say what the flow is; a saved state is of no other.
+        interval: h, the longest step, and the reference step of `process_noise`.
+        process_noise: covariance Q of one step of h, (D, D).
+        force_error: error model in addition to Q: of the force, relative and with memory, or of the
+            parameters.
+        about: plain values that identify the flow and must match those of a saved state.
 
     Raises:
-        ValueError: Q is no covariance.
+        ValueError: Q is not a covariance.
     """
     q = torch.as_tensor(process_noise, dtype=torch.float64)
     chol = covariance_factor(q, "process_noise", batch=1, size=q.shape[-1], definite=False)
@@ -64,7 +65,7 @@ def online_process(
 
 
 class WhiteNoise:
-    """Q of a step of any length, of white noise.
+    """White process noise for steps of any length.
 
     Args:
         chol: (D, D) factor of Q of a step of `interval`.
@@ -80,12 +81,12 @@ class WhiteNoise:
         return self._known(dt)
 
     def each(self, lengths: Tensor) -> Factor:
-        """Return the factors (B, D, D) of Q of steps (B,)."""
+        """Return the factors (B, D, D) of Q for steps (B,)."""
         return Factor((lengths / self.interval).sqrt()[:, None, None] * self.chol)
 
 
 def weights_hash(flow: Flow) -> str:
-    """Return the hash of the weights of a flow, "" of one that has none."""
+    """Return the hash of the weights of a flow, "" for a flow without weights."""
     if not isinstance(flow, nn.Module):
         return ""
     parts = {name: part.contiguous() for name, part in flow.state_dict().items()}

@@ -1,9 +1,9 @@
-"""Learned parameters as states: a filter knows them as well as their covariance says, and learns on.
+"""Learned parameters as filter states, with their prior covariance, updated by measurements.
 
-The field is f(x) + C(x) eta, with eta the distances along directions in which the parameters are uncertain,
-unknown and constant, N(0, I) before anything is measured. A step is half of what C(x) eta adds, the flow, and
-the other half (Strang splitting). There is no process noise: what a learned force is off by repeats itself on
-every orbit, and measurements tell it.
+The field is f(x) + C(x) eta, with unknown constant coordinates eta along uncertain directions of the
+parameters, a priori N(0, I). A step applies half the increment of C(x) eta, the flow, and the other half
+(Strang splitting). There is no process noise: errors of a learned force recur on every orbit, and
+measurements determine them.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from ahnn.types import Flow, TimeStep
 
 
 class ParameterError(NamedTuple):
-    """Directions of the parameters as states of a filter; augmented states are (x, eta), shape (..., D + K).
+    """Parameter directions as filter states; augmented states are (x, eta), shape (..., D + K).
 
     Attributes:
         columns: x (..., D) -> C(x), (..., D, K).
-        added: K.
+        added: number K of directions.
         size: standard deviation of each component of eta, a number or (B,).
-        left_out: what other directions add to the NEES of a filter, at most.
-        name: tells these directions from others: a saved filter is of no others.
+        left_out: upper bound on the contribution of omitted directions to the NEES of a filter.
+        name: identifier of the directions, which must match that of a saved filter.
     """
 
     columns: Callable[[Tensor], Tensor]
@@ -43,11 +43,11 @@ class ParameterError(NamedTuple):
 
     @property
     def about(self) -> list[float | str]:
-        """Plain values that tell one error from another, of the same weights."""
+        """Plain values that identify an error model for given weights."""
         return [float(self.added), float(self.size), self.name]
 
     def numbers(self, states: Tensor) -> Tensor:
-        """Return numbers that tell one error from another, at states (B, T, D)."""
+        """Return numbers that identify an error model, at states (B, T, D)."""
         return torch.cat(
             (
                 torch.tensor([float(self.added), float(self.size)]),
@@ -56,7 +56,7 @@ class ParameterError(NamedTuple):
         )
 
     def belief(self, belief: Belief) -> Belief:
-        """Return the augmented belief, parameters independent of the state."""
+        """Return the augmented belief, with parameters independent of the state."""
         mean, chol = belief
         (batch, size), count = mean.shape, self.added
         own = torch.as_tensor(self.size, dtype=mean.dtype, device=mean.device).expand(batch)
@@ -87,12 +87,12 @@ class ParameterError(NamedTuple):
         return torch.nn.functional.pad(additive, (0, self.added, 0, self.added))
 
     def measurement(self, measurement: Measurement) -> Measurement:
-        """Return a measurement model of augmented states: it sees their first D components."""
+        """Return a measurement model of augmented states that uses their first D components."""
         return OfStates(measurement, lambda x: x[..., : -self.added])
 
 
 def field_columns(dynamics: Dynamics, directions: Tensor) -> Callable[[Tensor], Tensor]:
-    """Return x (..., D) -> how the field moves along directions (P, K) of the parameters, (..., D, K)."""
+    """Return x (..., D) -> derivatives of the field along parameter directions (P, K), (..., D, K)."""
     theta = parameters_to_vector(dynamics.parameters()).detach()
     forcing, along = field_jacobian(cast(HasField, dynamics)), directions.float()
 

@@ -1,4 +1,4 @@
-"""An estimator with its process model, for measurements at any times."""
+"""Estimator with process model, for measurements at arbitrary times."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ahnn.types import Flow
 
 
 def same(value: Any) -> Any:
-    """Return what is given."""
+    """Return the argument unchanged."""
     return value
 
 
@@ -38,17 +38,17 @@ class StepLaw(NamedTuple):
 
 
 class Process(NamedTuple):
-    """An estimator with its process model.
+    """Estimator with its process model.
 
     Attributes:
-        estimator: it predicts and updates.
+        estimator: recursive estimator.
         flow: the process model.
-        noise: Q of a step, as a function of its length; one with a method `each` gives factors (B, D, D) of
-            lengths (B,), too.
-        max_step: longest step of the flow; longer gaps are cut into equal ones.
-        lifted: from a belief about the state to one about all that is estimated, the state first.
-        seen: from a measurement model of the state to one of all that is estimated.
-        about: plain values that say what this is.
+        noise: Q of a step as a function of its length; an optional method `each` returns factors (B, D, D)
+            for lengths (B,).
+        max_step: longest step of the flow; longer gaps are divided into equal steps.
+        lifted: map from a belief about the state to the augmented belief, state first.
+        seen: map from a measurement model of the state to one of the augmented state.
+        about: plain values that identify the process.
     """
 
     estimator: RecursiveEstimator[Any]
@@ -75,7 +75,7 @@ class Process(NamedTuple):
         """Return the state of the time `since` at a later one.
 
         Args:
-            state: of the estimator.
+            state: estimator state.
             since: its time.
             time: the later one.
             controls: of a flow that has some, from `since` on; no step crosses a jump of them.
@@ -109,14 +109,14 @@ class Process(NamedTuple):
         return cast(S, after)
 
     def members_advanced(self, state: S, since: Tensor, times: Tensor) -> S:
-        """Return the state of B members, each from a time of its own to a later one: `advanced` of each.
+        """Propagate B members, each from its own time to a later one, as by `advanced`.
 
-        The time of the result means nothing.
+        The time of the result is meaningless.
 
         Args:
-            state: of the estimator.
-            since: (B,).
-            times: (B,); who is not to move has the same time or an earlier one.
+            state: estimator state.
+            since: (B,) current times.
+            times: (B,) target times; an equal or earlier time leaves a member unchanged.
         """
         gaps = times - since
         counts = substeps_of_each(gaps, self.max_step) * (gaps > 0)
@@ -136,7 +136,7 @@ class Process(NamedTuple):
         return state
 
     def noises(self, lengths: Tensor) -> Factor:
-        """Return the factors of Q, (B, D, D), of steps of lengths (B,)."""
+        """Return the factors of Q, (B, D, D), for steps of lengths (B,)."""
         each = getattr(self.noise, "each", None)
         if each is not None:
             return each(lengths)
@@ -145,7 +145,7 @@ class Process(NamedTuple):
 
 
 def factored(covariance: Covariance) -> Tensor:
-    """Return the lower factor (D, D) of a process noise (D, D); raises ValueError for what is none."""
+    """Return the lower factor (D, D) of a process noise (D, D); raises ValueError for other matrices."""
     if isinstance(covariance, Factor):
         return covariance.chol
     size = len(torch.as_tensor(covariance))

@@ -1,17 +1,18 @@
-"""Process noise of a learned flow, fitted to how wrong the flow is on validation trajectories.
+"""Process noise of a learned flow, fitted to its residuals on validation trajectories.
 
 The shape of Q is the second moment of the one-step residuals r = F(x_k) - x_{k+1},
 
     Q1 = 1/N sum r rᵀ.
 
-The filter adds Q at every step as if residuals were independent in time. Those of a deterministic model are
-not: over h steps in one direction they grow to a covariance of h² Q1, where white noise reaches h Q1, and a
-filter with Q1 is overconfident (mean NEES of 100 and more in place of D, measured on trained models). Hence
+The filter adds Q at every step, assuming residuals that are independent in time. Residuals of a deterministic
+model are correlated: over h steps in one direction their covariance grows to h² Q1, compared with h Q1 for
+white noise, and a filter with Q1 is overconfident (mean NEES of 100 and more instead of D, measured on
+trained models). Hence
 
     Q = c Q1,
 
-with the one c at which the filter's mean NEES on validation arcs is D. The NEES falls with c; it is computed
-for all candidates in one batch and interpolated, log on log.
+with c such that the filter's mean NEES on validation arcs is D. The NEES decreases with c; it is computed for
+all candidates in one batch and interpolated on logarithmic scales.
 """
 
 from __future__ import annotations
@@ -33,11 +34,11 @@ SCALES = tuple(10.0**k for k in range(-1, 5))
 """Candidates for c; measured optima lie between 20 and 100."""
 
 PAIRS = 20_000
-"""Most pairs of successive states that residuals are computed for."""
+"""Maximum number of pairs of successive states for which residuals are computed."""
 
 
 class FittedNoise(NamedTuple):
-    """Q = scale * one_step, with the mean NEES of each candidate scale, inf where members were lost."""
+    """Q = scale * one_step, with the mean NEES of each candidate scale, inf where members failed."""
 
     covariance: Tensor
     one_step: Tensor
@@ -49,7 +50,7 @@ class FittedNoise(NamedTuple):
 def one_step_covariance(flow: Flow, trajectories: Trajectories) -> Tensor:
     """Return the second moment (D, D) of the one-step residuals of a flow.
 
-    Not the covariance: a constant error is an error. Residuals that are not finite are left out.
+    The mean is not subtracted: a constant error is an error. Residuals that are not finite are omitted.
     """
     size = trajectories.states.shape[-1]
     before = trajectories.states[:, :-1].reshape(-1, size)
@@ -64,12 +65,12 @@ def one_step_covariance(flow: Flow, trajectories: Trajectories) -> Tensor:
 def fitted_process_noise(
     chosen: Filter, setting: Setting, problem: Problem, trajectories: Trajectories
 ) -> FittedNoise:
-    """Return the process noise with which a filter is consistent on validation data.
+    """Fit the process noise for which a filter is consistent on validation data.
 
     Args:
-        chosen: the filter whose Q is sought; the one it has is not used.
-        setting: measurements and P0.
-        problem: V validation arcs, on which c is chosen.
+        chosen: filter to be tuned; its own Q is ignored.
+        setting: measurement settings and P0.
+        problem: V validation arcs for the choice of c.
         trajectories: validation trajectories, whose residuals give Q1.
     """
     one_step = one_step_covariance(chosen.flow, trajectories)
@@ -81,15 +82,15 @@ def fitted_process_noise(
 
 
 def mean_nees(chosen: Filter, setting: Setting, problem: Problem, scales: tuple[float, ...]) -> list[float]:
-    """Return the mean NEES from the first update on for each factor of a filter's process noise.
+    """Return the mean NEES from the first update on, for each factor of a filter's process noise.
 
-    All factors are tried in one batch. A factor with which a member is lost has inf.
+    All factors are evaluated in one batch. A factor for which a member fails gives inf.
 
     Args:
-        chosen: the filter.
-        setting: measurements and P0.
-        problem: V arcs.
-        scales: the factors.
+        chosen: filter.
+        setting: measurement settings and P0.
+        problem: V validation arcs.
+        scales: factors of the process noise.
     """
     batch, samples, _ = problem.truth.shape
     column = torch.tensor(scales, dtype=torch.float64).repeat_interleave(batch)
@@ -103,9 +104,9 @@ def mean_nees(chosen: Filter, setting: Setting, problem: Problem, scales: tuple[
 
 
 def crossing(scales: tuple[float, ...], values: list[float], target: float) -> float:
-    """Return the scale above which a falling series stays below a target, interpolated log on log.
+    """Return the scale above which a falling series stays below a target, by log-log interpolation.
 
-    Beyond the last scale, and before the first, the nearest one is returned.
+    Outside the range of scales the nearest one is returned.
     """
     above = [i for i, value in enumerate(values) if not value <= target]
     if not above:

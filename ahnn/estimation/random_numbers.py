@@ -1,9 +1,8 @@
-"""Random numbers of filters of samples, by counting: the same place gives the same numbers, on any device.
+"""Counter-based random numbers of sample filters, reproducible on any device.
 
-A generator that counts (Salmon, Moraes, Dror & Shaw 2011, "Parallel random numbers: as easy as 1, 2, 3";
-Philox of numpy) has no state that would have to be carried along: a seed and a place in the filter's course
-determine what is drawn there. So a filter stays a function of its state, and one that goes on from a saved
-state draws what it would have drawn.
+A counter-based generator (Salmon, Moraes, Dror & Shaw 2011, "Parallel random numbers: as easy as 1, 2, 3";
+Philox of numpy) needs no stored state: the seed and the counters of the filter determine each draw. A filter
+therefore remains a function of its state, and resuming from a saved state reproduces the same draws.
 """
 
 from __future__ import annotations
@@ -16,12 +15,12 @@ from torch import Tensor
 
 
 class RandomNumbers(NamedTuple):
-    """What is drawn at one place.
+    """Random numbers at given filter counters.
 
     Attributes:
-        seed: of the filter.
-        step: predictions made so far.
-        update: updates since the last of them, this one included; 0 for the prediction itself.
+        seed: seed of the filter.
+        step: number of predictions so far.
+        update: number of updates since the last prediction, including this one; 0 for the prediction itself.
     """
 
     seed: int
@@ -33,7 +32,7 @@ class RandomNumbers(NamedTuple):
         return torch.from_numpy(self._generator(2 * stage).standard_normal(shape)).to(like.device)
 
     def uniform(self, like: Tensor, *shape: int, stage: int = 0) -> Tensor:
-        """Return numbers of [0, 1) as float64, on the device of another tensor."""
+        """Return numbers in [0, 1) as float64, on the device of another tensor."""
         return torch.from_numpy(self._generator(2 * stage + 1).random(shape)).to(like.device)
 
     def _generator(self, kind: int) -> np.random.Generator:

@@ -1,4 +1,4 @@
-"""A gate that opens again: what has refused many measurements in a row has lost its object, and not they.
+"""Reopening of a gate: many consecutive rejections mean that the filter has lost its object.
 
 The belief gets the covariance with which it began on top, and as many times that as the measurement needs to
 be no surprise: its normalised innovation squared (NIS) at most twice the number of its components. Positions
@@ -25,7 +25,7 @@ from ahnn.estimation.state import Kept
 from ahnn.measurements import Measurement
 
 USUAL = 2.0
-"""NIS of a component at which a measurement surprises nobody."""
+"""NIS of a component at which a measurement is unsurprising."""
 WIDEST = 1e16
 """Most times the covariance of the start: 1e8 standard deviations away is nothing that was measured."""
 TRIES = 20
@@ -51,10 +51,10 @@ def reopened(
         spread: (B, d, d) factors of the covariances of the first d components at the start.
 
     Returns:
-        The states, what the rows told the wider beliefs, and which members, (B,) bool, took their row: the
+        The states, the innovations for the wider beliefs, and members that accepted their row, (B,) bool: the
         others mean nothing.
     """
-    # What is far yet is refused, since some filters break on it.
+    # Rows still too far away are rejected, since some filters fail on them.
     wary, factor = estimator.gated(Gate(0.999999)), torch.ones_like(before.log_likelihood)
     for tried in count(1):
         after, told = wary.update(widened(estimator, before, spread, factor), y, model, noise)

@@ -1,4 +1,4 @@
-"""Values that Gaussian filters and smoothers return; shape suffixes as in `ahnn.types`."""
+"""Results of Gaussian filters and smoothers; shape suffixes as in `ahnn.types`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ahnn.estimation.state import MemberState
 
 
 class Backward(NamedTuple):
-    """Law of the state before a step given the state after it: N(mean + gain (x' - mean'), chol cholᵀ).
+    """Conditional law of the state before a step given the next: N(mean + gain (x' - mean'), chol cholᵀ).
 
     Attributes:
         gain: (B, T, D, D) smoother gains.
@@ -28,11 +28,11 @@ class Predicted(NamedTuple):
     """Result of one prediction.
 
     Attributes:
-        belief: the prior of the next update.
-        repaired: (B,) bool, or None where there was nothing to repair.
-        sound: all members are known to be finite with positive variances; False where nobody looked.
-        backward: law of the state before the step given that after it, (B, D, D), where it was asked for.
-        mended: (B,) bool, which of these laws needed a repair of their own; None for none.
+        belief: prior of the next update.
+        repaired: (B,) bool, repaired members, or None without repairs.
+        sound: whether all members are known to be finite with positive variances; False if unchecked.
+        backward: distribution of the state before the step given that after it, (B, D, D), if requested.
+        mended: (B,) bool, whether this distribution itself was repaired; None without repairs.
     """
 
     belief: Belief
@@ -46,16 +46,16 @@ class Updated(NamedTuple):
     """Result of one update.
 
     Attributes:
-        belief: the posterior.
+        belief: posterior.
         innovation: (B, M), zero where the component is missing.
         deviation: (B, M) its standard deviations, one where the component is missing.
-        nis: (B,) normalised innovation squared of the components that are there.
-        log_likelihood: (B,) log density of those components under the prediction.
-        singular: (B,) bool, the innovation covariance cannot be inverted, or the posterior has a variance
-            that is not positive.
-        repairs: (B,) int64, covariances that were mended, or None where there was nothing to repair.
-        sound: all members are known to have a whole row, finite numbers and nothing singular; False where
-            nobody looked.
+        nis: (B,) normalised innovation squared of the available components.
+        log_likelihood: (B,) log predictive density of these components.
+        singular: (B,) bool, the innovation covariance is singular, or the posterior has a variance that is
+            not positive.
+        repairs: (B,) int64, number of repaired covariances, or None without repairs.
+        sound: whether all members are known to have a complete row, finite numbers and no singularity; False
+            if unchecked.
     """
 
     belief: Belief
@@ -69,29 +69,27 @@ class Updated(NamedTuple):
 
 
 class FilterResult(NamedTuple):
-    """What a filter returns of a batch of rows; index k is after step k, at time t_0 + dt_0 + ... + dt_k.
+    """Filter result for a batch of rows; index k is after step k, at time t_0 + dt_0 + ... + dt_k.
 
-    A member whose status is not OK holds NaN from its failed step on, and its estimates up to there.
+    A member whose status is not OK has NaN from its failed step on, and valid estimates before.
 
     Attributes:
         initial: belief before the first step.
-        means: (B, T, D) after the update.
+        means: (B, T, D) means after the update.
         chols: (B, T, D, D) lower factors after the update.
-        predicted_means: (B, T, D) before the update; equal to `means` where nothing was measured.
-        predicted_chols: (B, T, D, D) before the update.
-        innovations: (B, T, M), NaN where missing.
-        nis: (B, T) normalised innovation squared, of rejected rows too; NaN where nothing was measured.
-        measured: (B, T) int64, components that were there.
-        rejected: (B, T) bool, the gate refused the row.
-        log_likelihood: (B,) of the accepted measurements.
+        predicted_means: (B, T, D) means before the update; equal to `means` without measurements.
+        predicted_chols: (B, T, D, D) lower factors before the update.
+        innovations: (B, T, M) innovations, NaN where missing.
+        nis: (B, T) normalised innovation squared, including rejected rows; NaN without measurements.
+        measured: (B, T) int64, number of measured components.
+        rejected: (B, T) bool, whether the gate rejected the row.
+        log_likelihood: (B,) log-likelihood of the accepted measurements.
         status: (B,) int64, see `Status`.
-        failed_step: (B,) int64, step of this run at which the status was given, 0 if before it; -1 where it
-            is OK.
-        repairs: (B,) int64, covariances that had to be mended, and backward kernels of a covariance that
-            was singular.
-        backward: kernels for the smoother, where they were asked for.
-        state: after the last step, from which the next measurements go on. Log-likelihood, status and repairs
-            are its own: in a run that began with a state they count from where that state began.
+        failed_step: (B,) int64, step of this run at which the member failed, 0 if before the run; -1 if OK.
+        repairs: (B,) int64, number of repaired covariances and of backward kernels of singular covariances.
+        backward: backward kernels for the smoother, if requested.
+        state: state after the last step, for continuation. Its log-likelihood, status and repairs include
+            those of the state from which the run began.
     """
 
     initial: Belief
@@ -117,14 +115,14 @@ class FilterResult(NamedTuple):
 
 
 class SmootherResult(NamedTuple):
-    """What a smoother returns.
+    """Smoother result.
 
     Attributes:
-        initial: smoothed belief about the start.
-        means: (B, T, D) given all measurements.
+        initial: smoothed belief about the initial state.
+        means: (B, T, D) means given all measurements.
         chols: (B, T, D, D) lower factors.
-        status: (B,) int64, that of the filter, see `Status`.
-        repairs: (B,) int64, those of the filter and of its backward kernels.
+        status: (B,) int64, status of the filter, see `Status`.
+        repairs: (B,) int64, number of repairs by the filter and of its backward kernels.
     """
 
     initial: Belief
@@ -140,4 +138,4 @@ class SmootherResult(NamedTuple):
 
 
 ProcessNoise = Covariance | Callable[[float], Covariance]
-"""Covariance Q of one step, (D, D) or (B, D, D), or a function of the length of the step that returns it."""
+"""Covariance Q of one step, (D, D) or (B, D, D), or a function from the step length to Q."""

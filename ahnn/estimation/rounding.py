@@ -1,18 +1,19 @@
-"""What float64 leaves of an estimate: where rounding may show, a member gets a status and stops.
+"""Bounds on float64 rounding of estimates; members beyond the limit fail with a status.
 
-A mean that a kernel forms of images y is rounded to eps |y|. Sigma points r standard deviations away form it
-from differences, each rounded so, with weights that sum to D / r², its crowding: it is off by about
+A mean computed from images y has rounding error eps |y|. Sigma points at r standard deviations compute it
+from differences, each with this error, with weights that sum to D / r², the crowding. The total error is
+about
 
     (1 + D / r²) eps |y|.
 
-An update forms the innovation from numbers of the size of y, and triangularises deviations s of y: both are
-off by eps (|y| + s). The gain K brings that into the mean, and since K R Kᵀ is a part of the covariance after
-the update, in standard deviations it is no more than what R makes of it: L_R⁻¹ eps (|y| + s).
+An update computes the innovation from numbers of size y, and triangularises deviations s of y: both have
+errors of eps (|y| + s). The gain K propagates these to the mean, and since the posterior covariance includes
+K R Kᵀ, the error in standard deviations is at most L_R⁻¹ eps (|y| + s).
 
-A kernel that squares, which forms covariances, loses twice as many digits: of P it keeps eps P, of which a
-subtraction may leave nothing, and of the innovation covariance eps s sᵀ.
+A kernel that squares, i.e. computes covariances, loses twice as many digits: it resolves P to eps P, which a
+subtraction may exceed, and the innovation covariance to eps s sᵀ.
 
-What a flow or a measurement model rounds by itself, in float32 say, comes on top and is not known here.
+Rounding inside a flow or measurement model, for example in float32, is additional and not included.
 """
 
 from __future__ import annotations
@@ -28,17 +29,17 @@ from ahnn.estimation.linalg import EPS
 from ahnn.estimation.results import Updated
 
 LIMIT = 1e-3
-"""Fraction of a standard deviation that rounding may cost in a step of either kind; members.c has it too."""
+"""Largest rounding error per step, as a fraction of a standard deviation; duplicated in members.c."""
 
 
 class Rounding(NamedTuple):
-    """What a kernel amplifies of rounding.
+    """Amplification of rounding by a kernel.
 
     Attributes:
-        crowding: (B or 1, ...) by which its means amplify rounding, of members for whom it matters, 0 of the
-            others; None if it matters for no member.
-        squares: whether it forms covariances, which costs digits and needs a definite measurement noise.
-        subtracts: whether negative weights may leave what has to be mended: such a repair is no loss.
+        crowding: (B or 1, ...) amplification of rounding in means, 0 for members where it is negligible; None
+            if negligible for all.
+        squares: whether covariances are computed, which costs digits and requires definite measurement noise.
+        subtracts: whether negative weights may require repairs, which then do not indicate a loss of digits.
     """
 
     crowding: Tensor | None = None
@@ -49,16 +50,16 @@ class Rounding(NamedTuple):
 def lost_in_prediction(
     before: Belief, after: Belief, repaired: Tensor | None, rounding: Rounding
 ) -> Tensor | None:
-    """Return for which members rounding in a prediction exceeds the limit, (B,) bool.
+    """Return whether rounding in a prediction exceeds the limit, (B,) bool.
 
     Args:
-        before: belief.
-        after: belief that was predicted.
-        repaired: (B,) bool, or None for nobody.
-        rounding: of the kernel.
+        before: belief before the prediction.
+        after: predicted belief.
+        repaired: (B,) bool, or None for no repairs.
+        rounding: rounding properties of the kernel.
 
     Returns:
-        None where nothing is amplified.
+        None if nothing is amplified.
     """
     if rounding.crowding is None and not rounding.squares:
         return None
@@ -72,21 +73,21 @@ def lost_in_prediction(
 
 
 def lost_in_update(prior: Belief, updated: Updated, y: Tensor, chol_r: Tensor, rounding: Rounding) -> Tensor:
-    """Return for which members rounding in an update exceeds the limit, (B,) bool.
+    """Return whether rounding in an update exceeds the limit, (B,) bool.
 
     Args:
-        prior: belief before it.
-        updated: its result.
+        prior: belief before the update.
+        updated: result of the update.
         y: (B, M), NaN where missing.
         chol_r: (B, M, M) factor of R.
-        rounding: of the kernel.
+        rounding: rounding properties of the kernel.
     """
     present = ~y.isnan()
     spread = torch.where(present, updated.deviation.detach(), 0.0)
     sizes = y.detach().nan_to_num().abs() + updated.innovation.detach().abs() + spread
     exact = present & (torch.diagonal(chol_r.detach(), dim1=-2, dim2=-1) == 0.0)
-    # The row of what is missing becomes that of a number without correlation; what is measured exactly is as
-    # uncertain as it is predicted to be, and leaves a mean that has no deviation to be compared with.
+    # The row of a missing component becomes that of an uncorrelated number; an exactly measured component is
+    # given its predicted uncertainty, and its mean has no deviation for comparison.
     noisy = (present & ~exact).unsqueeze(-1)
     noise = torch.where(noisy, chol_r.detach(), torch.diag_embed(torch.where(exact, spread, 1.0)))
     loss = _whitened(noise, torch.where(present, sizes, 0.0))
@@ -104,7 +105,7 @@ def lost_in_update(prior: Belief, updated: Updated, y: Tensor, chol_r: Tensor, r
 
 
 def _not_mended(lost: Tensor, repairs: Tensor | None, rounding: Rounding) -> Tensor:
-    """Return who lost digits, and not by negative weights: their repairs are counted and are no loss."""
+    """Return members that lost digits, except by negative weights, whose repairs are counted instead."""
     return lost if repairs is None or not rounding.subtracts else lost & (repairs == 0)
 
 
@@ -114,16 +115,16 @@ def _coarseness(belief: Belief) -> Tensor:
 
 
 def _lost_digits(chol: Tensor, formed: Tensor) -> Tensor:
-    """Return the error, (B,), of a variance in any direction, as a fraction of it.
+    """Return the largest relative error, (B,), of a variance in any direction.
 
     Args:
         chol: (B, D, D) factor of the covariance.
-        formed: (B, D) deviations of the covariances that it is the sum or the difference of.
+        formed: (B, D) deviations of the covariances whose sum or difference it is.
     """
     return EPS * _whitened(chol, formed).square()
 
 
 def _whitened(chol: Tensor, sizes: Tensor) -> Tensor:
-    """Return how many standard deviations errors of sizes (B, N) are, (B,); inf of a singular factor."""
+    """Return errors of sizes (B, N) in standard deviations, (B,); inf for a singular factor."""
     off = torch.linalg.solve_triangular(chol, torch.diag_embed(sizes), upper=False)
     return off.square().sum((-2, -1)).sqrt()

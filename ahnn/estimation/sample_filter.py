@@ -1,8 +1,8 @@
-"""Filters whose belief is a set of samples, one flow call for those of all members.
+"""Filters whose belief is a set of samples, with one flow call for all members.
 
-What makes such a filter its own is how samples are drawn from a belief, what becomes of them in a step, and
-how a measurement moves or weighs them. Arguments, gate, status and freezing of members are those of every
-filter, see `ahnn.estimation.member_filter`; to others a belief of samples is its moments.
+A sample filter is defined by how it draws samples from a belief, propagates them over a step, and moves or
+weights them by a measurement. Arguments, gating, status and freezing of members are common to all filters,
+see `ahnn.estimation.member_filter`; other modules use the moments of the samples.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ LARGEST_SEED = 2**63 - 1
 
 
 class SampleFilter(MemberFilter[SampleState]):
-    """A filter of N samples for each of B members; subclasses are dataclasses.
+    """Filter with N samples for each of B members; subclasses are dataclasses.
 
     Attributes:
-        seed: of the random numbers; with the same one the same estimates come out, bit for bit.
+        seed: seed of the random numbers; equal seeds give bitwise equal estimates.
     """
 
     carried: ClassVar[type[MemberState]] = SampleState
     seed: int
 
     def __post_init__(self) -> None:
-        """Refuse what is no gate and no seed; raises ValueError."""
+        """Raise ValueError for an invalid gate or seed."""
         super().__post_init__()
         if not isinstance(self.seed, int) or not 0 <= self.seed <= LARGEST_SEED:
             message = f"seed: expected a whole number from 0 to 2^63 - 1; received {self.seed!r}"
@@ -51,7 +51,7 @@ class SampleFilter(MemberFilter[SampleState]):
     @property
     @abstractmethod
     def count(self) -> int:
-        """N."""
+        """Number of samples N."""
 
     @property
     def about(self) -> dict[str, Any]:
@@ -60,7 +60,7 @@ class SampleFilter(MemberFilter[SampleState]):
 
     @abstractmethod
     def drawn(self, belief: Belief, random: RandomNumbers) -> Tensor:
-        """Return samples (B, N, D) of a belief."""
+        """Draw samples (B, N, D) from a belief."""
 
     @abstractmethod
     def moments(self, points: Tensor, log_weights: Tensor) -> Belief:
@@ -68,31 +68,31 @@ class SampleFilter(MemberFilter[SampleState]):
 
     @abstractmethod
     def noise(self, draw: Tensor, points: Tensor) -> Tensor:
-        """Return normal numbers (B, N, D) as the filter adds them, times a factor of Q, to samples."""
+        """Draw the normal numbers (B, N, D) that the filter adds, times a factor of Q, to samples."""
 
     def followed(self, state: SampleState, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Return samples (B, N, D) and weights (B, N) of a state whose samples have these images."""
+        """Return propagated samples (B, N, D) and weights (B, N), given the images of a state's samples."""
         return images, state.log_weights
 
     def law(self, before: Tensor, images: Tensor, chol_q: Tensor) -> Backward | None:
-        """Return the law back from images (B, N, D) of samples, Q added; None where there is no smoother."""
+        """Return the backward law from images (B, N, D) of samples, with Q added; None without smoother."""
         del before, images, chol_q
 
     @abstractmethod
     def conditioned(
         self, state: SampleState, images: Tensor, y: Tensor, sensor: SensorModel
     ) -> tuple[SampleState, Updated]:
-        """Return the samples of a state given a row y (B, M), NaN where missing, and the update.
+        """Condition samples on a row y (B, M), NaN where missing; return the state and the update.
 
         Args:
-            state: before the update; its `random` is of the update.
-            images: (B, N, M) measurements of its samples.
-            y: the row.
-            sensor: its model.
+            state: state before the update; its `random` belongs to the update.
+            images: (B, N, M) predicted measurements of its samples.
+            y: measurement row.
+            sensor: measurement model of the row.
         """
 
     def initial(self, belief: Belief, time: float) -> SampleState:
-        """Return the state of a belief; raises ValueError for a number of samples that does not fit it."""
+        """Return the state of a belief; raises ValueError for an unsuitable number of samples."""
         kept, like = initial_state(belief, time), belief.mean
         seed = torch.tensor(self.seed, dtype=torch.int64, device=like.device)
         points = self.drawn(belief, RandomNumbers(self.seed, 0, 0))
@@ -110,7 +110,7 @@ class SampleFilter(MemberFilter[SampleState]):
         *,
         smoothing: bool = False,
     ) -> tuple[SampleState, Backward | None]:
-        """Return the state after a step of the flow that ends at `time`, and the law back, if asked for."""
+        """Propagate the state over a step ending at `time`; optionally return the backward law."""
         images = propagate(at(flow, state.time), state.points, dt)
         steps = state.steps + 1
         after = state._replace(time=time, steps=steps, updates=torch.zeros_like(state.updates))
@@ -125,11 +125,11 @@ class SampleFilter(MemberFilter[SampleState]):
     def updated(
         self, state: SampleState, y: Tensor, sensor: SensorModel
     ) -> tuple[SampleState, Updated, Tensor]:
-        """Return the state given a row (B, M), the update, and which rows the gate rejected, (B,) bool."""
+        """Condition the state on a row (B, M); return state, update, and gate rejections, (B,) bool."""
         state = state._replace(updates=state.updates + 1)
         images = measured(sensor.measurement, state.points, float(state.time))
         proposed, told = self.conditioned(state, images, y, sensor)
-        if sensor.thresholds is not None:  # what the gate refuses may leave no sample with a weight
+        if sensor.thresholds is not None:  # rejected rows may leave no sample with a weight
             refused = told.nis > sensor.thresholds[(~y.isnan()).sum(-1)]
             belief = choose(refused, state.belief, told.belief)
             told = told._replace(belief=belief, singular=told.singular & ~refused)
@@ -142,19 +142,19 @@ def image_deviations(
 ) -> tuple[Tensor, Tensor]:
     """Return deviations (B, N, M) of measured samples from their mean, and the innovation (B, M).
 
-    Both are 0 where a component is missing; angles are averaged on the side of the first sample.
+    Both are 0 where a component is missing; angles are averaged near the first sample's angle.
 
     Args:
-        images: (B, N, M) measurements of samples.
+        images: (B, N, M) predicted measurements of samples.
         weights: (B, N, 1) that sum to 1, or their common value.
         y: (B, M), NaN where missing.
-        sensor: its model says what a difference is.
+        sensor: measurement model, which defines differences.
     """
     model, present = sensor.measurement, ~torch.isnan(y)
     outer = residual(model, images, images[:, :1].expand_as(images))
     outer = torch.where(present.unsqueeze(1), outer, 0.0)
     shift = (weights * outer).sum(1)
     y_pred = images[:, 0] + shift
-    # What is missing is filled in: a residual may mix components.
+    # Missing components are filled in, since a residual may mix components.
     innovation = residual(model, torch.where(present, y, y_pred), y_pred)
     return outer - shift.unsqueeze(1), torch.where(present, innovation, 0.0)

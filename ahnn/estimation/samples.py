@@ -1,4 +1,4 @@
-"""Samples as a belief: moments, effective size, resampling, and the state that carries them."""
+"""Sample-based beliefs: moments, effective sample size, resampling, and filter state."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from ahnn.estimation.random_numbers import RandomNumbers
 
 
 class SampleState(NamedTuple):
-    """All that a filter of samples carries for B members; what is not said here as of `FilterState`.
+    """State of a sample filter for B members; undocumented fields as in `FilterState`.
 
     Attributes:
-        belief: moments of what is believed, computed once.
+        belief: moments of the samples, computed once.
         time: () float64.
         steps: () int64.
         status: (B,) int64.
@@ -26,10 +26,9 @@ class SampleState(NamedTuple):
         repairs: (B,) int64.
         log_likelihood: (B,) float64.
         points: (B, N, D) float64 samples.
-        log_weights: (B, N) float64 logarithms of their weights, which sum to 1; -inf of one that counts
-            nothing.
-        seed: () int64, of the random numbers.
-        updates: () int64, updates since the last prediction; with seed and steps it says what is drawn next.
+        log_weights: (B, N) float64 logarithms of normalised weights; -inf for zero weight.
+        seed: () int64, seed of the random numbers.
+        updates: () int64, updates since the last prediction; with seed and steps it determines the next draw.
     """
 
     belief: Belief
@@ -57,11 +56,11 @@ class SampleState(NamedTuple):
 
     @property
     def random(self) -> RandomNumbers:
-        """What is drawn at this place."""
+        """Random numbers for the current counters."""
         return RandomNumbers(int(self.seed), int(self.steps), int(self.updates))
 
     def where(self, condition: Tensor, other: SampleState) -> SampleState:
-        """Return the state in which members without the condition, (B,) bool, have another's samples."""
+        """Return a state with another's samples for members where the condition, (B,) bool, is false."""
         return self._replace(
             belief=choose(condition, self.belief, other.belief),
             points=torch.where(condition[:, None, None], self.points, other.points),
@@ -69,19 +68,19 @@ class SampleState(NamedTuple):
         )
 
     def leading(self, size: int) -> SampleState:
-        """Return the state of the first components alone."""
+        """Return the state of the leading components."""
         return self._replace(belief=leading(self.belief, size), points=self.points[..., :size])
 
 
 def sample_moments(points: Tensor, log_weights: Tensor | None = None) -> Belief:
     """Return the moments of samples (B, N, D).
 
-    Without weights those of an ensemble, whose covariance has N - 1 in its denominator; with weights those of
-    the law that the samples are, sum_i w_i (x_i - mean)(x_i - mean)ᵀ.
+    Without weights the moments are those of an ensemble, with N - 1 in the denominator of the covariance;
+    with weights those of the discrete distribution, sum_i w_i (x_i - mean)(x_i - mean)ᵀ.
 
     Args:
-        points: (B, N, D).
-        log_weights: (B, N), normalised; None for an ensemble.
+        points: (B, N, D) samples.
+        log_weights: (B, N) normalised log weights; None for an ensemble.
     """
     count, size = points.shape[-2:]
     if log_weights is None:
@@ -95,7 +94,7 @@ def sample_moments(points: Tensor, log_weights: Tensor | None = None) -> Belief:
 
 
 def normalised(log_weights: Tensor) -> Tensor:
-    """Return logarithms (B, N) of weights that sum to 1; NaN where all weights are zero."""
+    """Normalise log weights (B, N) to a sum of weights of 1; NaN where all weights are zero."""
     return log_weights - log_weights.logsumexp(-1, keepdim=True)
 
 
@@ -105,19 +104,19 @@ def effective_size(log_weights: Tensor) -> Tensor:
 
 
 def systematic_resampling(log_weights: Tensor, offset: Tensor) -> Tensor:
-    """Return the numbers (B, N) of the samples that are drawn, in order, by one uniform number a member.
+    """Return the sorted indices (B, N) of resampled points, from one uniform number per member.
 
     A sample of weight w is drawn floor(N w) or ceil(N w) times, N w on average (Kitagawa 1996; Douc, Cappé &
     Moulines 2005).
 
     Args:
-        log_weights: (B, N), normalised.
-        offset: (B,) numbers of [0, 1).
+        log_weights: (B, N) normalised log weights.
+        offset: (B,) uniform numbers in [0, 1).
     """
     count = log_weights.shape[-1]
     cumulative = log_weights.exp().cumsum(-1)
     cumulative = cumulative / cumulative[:, -1:]
     places = (torch.arange(count, dtype=offset.dtype, device=offset.device) + offset.unsqueeze(-1)) / count
-    # Rounding may take a place to 1, beyond the last sample that has a weight.
+    # Rounding may move a position to 1, beyond the last sample with nonzero weight.
     chosen = torch.searchsorted(cumulative.contiguous(), places.clamp(max=1.0 - 0.5 * EPS), right=True)
-    return chosen.clamp(max=count - 1)  # where weights are no numbers
+    return chosen.clamp(max=count - 1)  # for NaN weights

@@ -1,7 +1,7 @@
-"""State of a recursive estimator on disk: restored bit for bit, in a file that never executes anything.
+"""Saving of recursive estimator states, restored bit for bit, in a file without executable content.
 
-A state is a NamedTuple of tensors and of NamedTuples of tensors, stored under their own names. Tensors
-and texts are under one checksum, as weights are, and within the limits of a state.
+A state is a NamedTuple of tensors and of NamedTuples of tensors, stored under their field names. Tensors and
+texts are protected by one checksum, as weights are, and checked against the limits of a state.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from ahnn.files import write_state
 S = TypeVar("S", bound=EstimatorState)
 
 FORMAT = "ahnn filter state 2"
-"""Raise the number when the meaning of a stored tensor changes. Format 1 had no checksum."""
+"""Version number, increased when the meaning of a stored tensor changes. Format 1 had no checksum."""
 
 
 class SavedPart(NamedTuple):
-    """What a tensor of a state must be: finite, and no smaller or larger than this.
+    """Requirements on a tensor of a state: finite, and within limits.
 
     Attributes:
-        axes: of B members and D components.
-        dtype: of its numbers.
-        least, most: limits of each.
+        axes: axes by B members and D components.
+        dtype: required dtype.
+        least, most: inclusive limits of each number.
     """
 
     axes: str
@@ -56,15 +56,15 @@ PARTS = {
 
 
 def save_state(state: EstimatorState, path: Path | str, notes: Mapping[str, str] | None = None) -> None:
-    """Write a state; the file appears whole or not at all. Gradients are not kept.
+    """Write a state atomically; gradients are not saved.
 
     Args:
-        state: what is written.
-        path: of the file.
-        notes: texts that are kept beside it, for `load_notes`.
+        state: state to be saved.
+        path: path of the file.
+        notes: additional texts, for `load_notes`.
 
     Raises:
-        ValueError: what is no state, which `load_state` would refuse.
+        ValueError: an invalid state, which `load_state` would reject.
     """
     parts = {name: part.detach() for name, part in _named(state).items()}
     _check(parts, state)
@@ -75,16 +75,16 @@ def save_state(state: EstimatorState, path: Path | str, notes: Mapping[str, str]
 
 
 def load_state(path: Path | str, device: torch.device | str = "cpu", *, like: S | None = None) -> S:
-    """Return a state that `save_state` wrote.
+    """Load a state written by `save_state`.
 
     Args:
-        path: of the file.
-        device: of the tensors.
-        like: a state of the estimator, which says what its parts are; None is a `FilterState`.
+        path: path of the file.
+        device: device of the tensors.
+        like: a state of the estimator as template; None for a `FilterState`.
 
     Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: it is damaged, of an earlier format, or no state of this kind.
+        FileNotFoundError: the file is missing.
+        ValueError: the file is damaged, of an earlier format, or not a state of this kind.
     """
     stored, about = _read(Path(path))
     try:
@@ -103,16 +103,16 @@ def load_state(path: Path | str, device: torch.device | str = "cpu", *, like: S 
 
 
 def load_notes(path: Path | str) -> dict[str, str]:
-    """Return the texts beside a state that `load_state` reads; raises as it does."""
+    """Load the texts saved with a state; raises the errors of `load_state`."""
     return _read(Path(path)).about["notes"]
 
 
 def _read(path: Path) -> Weights:
-    """Return what a file of this format holds, as it was written.
+    """Read the unmodified content of a file of this format.
 
     Raises:
-        FileNotFoundError: there is none.
-        ValueError: it is damaged, or of another format.
+        FileNotFoundError: the file is missing.
+        ValueError: the file is damaged, or of another format.
     """
     if not path.exists():
         raise FileNotFoundError(path)
@@ -135,7 +135,7 @@ def _refusal(path: Path | str, reason: object) -> str:
 
 
 def _check(parts: dict[str, Any], like: EstimatorState | None) -> None:
-    """Refuse tensors that are no state; raises ValueError with the first that is not."""
+    """Raise ValueError for the first tensor that is invalid in a state."""
     known = PARTS if like is None or isinstance(like, FilterState) else _named(like)
     if parts.keys() != known.keys():
         message = f"expected {', '.join(known)}; received {', '.join(parts)}"
@@ -156,7 +156,7 @@ def _check(parts: dict[str, Any], like: EstimatorState | None) -> None:
 
 
 def _compare(parts: dict[str, Tensor], known: Mapping[str, Any]) -> None:
-    """Refuse tensors of another type or shape than those of a state of an estimator of one's own."""
+    """Raise ValueError for tensors whose type or shape differs from that of the template state."""
     for name, part in parts.items():
         if (part.dtype, part.shape) != (known[name].dtype, known[name].shape):
             expected = f"{known[name].dtype} {tuple(known[name].shape)}"
@@ -165,7 +165,7 @@ def _compare(parts: dict[str, Tensor], known: Mapping[str, Any]) -> None:
 
 
 def _named(state: Any) -> dict[str, Tensor]:
-    """Return the tensors of a state under their names; those of inner tuples under their own."""
+    """Return the tensors of a state by field name; nested tuples contribute their own field names."""
     named: dict[str, Tensor] = {}
     for name, part in state._asdict().items():
         inner = _named(part) if isinstance(part, tuple) else {name: part}
@@ -177,7 +177,7 @@ def _named(state: Any) -> dict[str, Tensor]:
 
 
 def _filled(like: S, parts: Mapping[str, Tensor]) -> S:
-    """Return a state with other tensors."""
+    """Return a state with its tensors replaced."""
     fields = cast(Any, like)._asdict().items()
     filled = {k: _filled(cast(Any, p), parts) if isinstance(p, tuple) else parts[k] for k, p in fields}
     return like._replace(**filled)
@@ -186,6 +186,6 @@ def _filled(like: S, parts: Mapping[str, Tensor]) -> S:
 def _order(tensor: Tensor) -> list[int]:
     """Return the axes from the slowest to the fastest in memory.
 
-    Restored tensors lie in memory as they did: a matrix product may round differently where they do not.
+    Restored tensors keep their memory layout, since a matrix product may round differently otherwise.
     """
     return sorted(range(tensor.ndim), key=lambda axis: -tensor.stride(axis))

@@ -1,4 +1,4 @@
-"""What an estimator is asked in an evaluation: trajectories, noisy measurements of them, uncertain starts."""
+"""Evaluation scenarios of estimators: trajectories, noisy measurements, uncertain initial states."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from ahnn.rollouts import clock_of
 from ahnn.types import Flow
 
 MEASUREMENTS = 1_000_003
-"""Added to a seed for the measurement noise: with the seed of the initial errors it would repeat them."""
+"""Offset of the seed of measurement noise, which must differ from that of initial errors."""
 
 
 class Setting(NamedTuple):
-    """How measurements are made and how uncertain a start is, the same for every model and estimator.
+    """Measurement and initial uncertainty settings, common to all models and estimators.
 
     Attributes:
-        measurement: the model of the measurements.
-        measurement_sd: (M,) standard deviations, of the simulated noise and of R alike.
+        measurement: measurement model.
+        measurement_sd: (M,) standard deviations of both the simulated noise and R.
         start_sd: (D,) standard deviations of the initial error; P0 is diagonal.
-        updates: numbers of the samples that are measured, increasing, from 1.
+        updates: increasing indices of measured samples, from 1.
         sensor_error: biases of the measurements, simulated and estimated; None for none.
     """
 
@@ -36,17 +36,17 @@ class Setting(NamedTuple):
 
     @property
     def measurement_noise(self) -> Tensor:
-        """R, (M, M)."""
+        """Covariance R, (M, M)."""
         return torch.diag(self.measurement_sd**2)
 
     @property
     def start_covariance(self) -> Tensor:
-        """P0, (D, D)."""
+        """Covariance P0, (D, D)."""
         return torch.diag(self.start_sd**2)
 
     @property
     def first(self) -> int:
-        """The first sample that is measured."""
+        """Index of the first measured sample."""
         return self.updates[0]
 
 
@@ -54,12 +54,12 @@ class Problem(NamedTuple):
     """Trajectories to estimate.
 
     Attributes:
-        truth: (B, T + 1, D), NaN where a trajectory has ended.
-        starts: (B, D) what an estimator believes at time zero.
-        measurements: (B, T, M), NaN where nothing was measured.
-        dt: length of a step.
-        controls: (B, T + 1, m), known; None where nothing is controlled.
-        linear: whether controls are interpolated linearly between samples; else they are held.
+        truth: (B, T + 1, D), NaN after the end of a trajectory.
+        starts: (B, D) initial estimates at time zero.
+        measurements: (B, T, M), NaN where missing.
+        dt: step length.
+        controls: (B, T + 1, m) known controls; None without controls.
+        linear: whether controls are interpolated linearly between samples instead of held.
     """
 
     truth: Tensor
@@ -70,13 +70,13 @@ class Problem(NamedTuple):
     linear: bool = False
 
     def repeated(self, count: int) -> Problem:
-        """Return the problem `count` times over, member b of copy i at row i B + b."""
+        """Return `count` copies of the problem, with member b of copy i in row i B + b."""
         parts = self.truth, self.starts, self.measurements, self.controls
         rows = (None if part is None else part.repeat(count, *[1] * (part.ndim - 1)) for part in parts)
         return self._replace(**dict(zip(("truth", "starts", "measurements", "controls"), rows, strict=True)))
 
     def driven(self, flow: Flow) -> Flow:
-        """Return a process model under the controls; one that needs none comes back as it is."""
+        """Bind a process model to the controls; a model without controls is returned unchanged."""
         if self.controls is None or clock_of(flow) < 2:
             return flow
         times = self.dt * torch.arange(self.controls.shape[1], dtype=torch.float64)
@@ -84,9 +84,9 @@ class Problem(NamedTuple):
 
 
 def simulated(setting: Setting, truth: Tensor, dt: float, seed: int) -> Tensor:
-    """Return noisy measurements (B, T, M) of true trajectories (B, T + 1, D).
+    """Simulate noisy measurements (B, T, M) of true trajectories (B, T + 1, D).
 
-    NaN between measurements, and where a state is out of the instrument's view.
+    NaN between measurements, and where a state is outside the sensor's field of view.
     """
     batch, samples, _ = truth.shape
     generator = torch.Generator().manual_seed(seed + MEASUREMENTS)
@@ -112,18 +112,18 @@ def perturbed_arcs(
     *,
     linear: bool = False,
 ) -> Problem:
-    """Return arcs of trajectories with perturbed starts, to choose an estimator's constants on.
+    """Cut arcs from trajectories and perturb their initial states, for tuning of estimators.
 
     Args:
-        setting: measurements and P0.
-        truth: (N, T + 1, D) trajectories, NaN where one has ended.
-        dt: length of a step.
-        count: number of arcs, each from a trajectory of its own.
-        steps: length of an arc; arcs that are shorter than their trajectories begin evenly spread over them,
-            so that all phases of a motion take part. None takes whole trajectories.
-        seed: of the initial errors and the measurements.
-        controls: (N, T + 1, m) of the trajectories; None where nothing is controlled.
-        linear: whether these are interpolated linearly between samples.
+        setting: measurement settings and P0.
+        truth: (N, T + 1, D) trajectories, NaN after the end of a trajectory.
+        dt: step length.
+        count: number of arcs, each from a different trajectory.
+        steps: length of an arc; shorter arcs begin at evenly spread times, so that all phases of the motion
+            are covered. None for whole trajectories.
+        seed: seed of initial errors and measurement noise.
+        controls: (N, T + 1, m) controls of the trajectories; None without controls.
+        linear: whether controls are interpolated linearly between samples.
     """
     chosen = torch.linspace(0, len(truth) - 1, count).long()
     states = truth[chosen]

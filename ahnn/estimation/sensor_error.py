@@ -1,12 +1,12 @@
-"""Errors of sensors as states: biases that are constant, or that are forgotten over a time.
+"""Sensor errors as filter states: constant biases, or biases with a correlation time.
 
-Each error b is added to one component of what a sensor measures, and is a first-order Gauss-Markov process
-(Tapley, Schutz & Born 2004, section 4.9; constant biases as in section 6.3):
+Each error b is added to one measured component, and is a first-order Gauss-Markov process (Tapley, Schutz &
+Born 2004, section 4.9; constant biases as in section 6.3):
 
     b' = exp(-dt / memory) b + w,   w ~ N(0, sd² (1 - exp(-2 dt / memory))),
 
-which keeps its variance at sd². With an infinite memory it is a constant bias, with a finite one the coloured
-part of the noise. An estimator sees longer states, a longer flow and more process noise, and need not know.
+with stationary variance sd². Infinite memory gives a constant bias, finite memory coloured noise. Estimators
+receive augmented states, flow and process noise, and need no modification.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from ahnn.measurements import Biases, Measurement, Time, periods, residual
 from ahnn.types import Flow, TimeStep
 
 LENGTHS = 1000
-"""Lengths of steps whose factors are kept."""
+"""Number of step lengths whose factors are cached."""
 
 
 class SensorError(NamedTuple):
-    """K errors of sensors; augmented states are (x, b), shape (..., D + K).
+    """K sensor errors; augmented states are (x, b), shape (..., D + K).
 
     Attributes:
-        deviations: (K,) standard deviations before anything is measured, in the units of what is measured.
+        deviations: (K,) prior standard deviations, in the units of the measurements.
         memories: (K,) time constants, in the unit of the flow; inf for a constant bias.
-        places: for each of the M components of each sensor the number of its error; None where it has none.
+        places: index of the error for each of the M components of each sensor; None without error.
     """
 
     deviations: Tensor
@@ -45,7 +45,7 @@ class SensorError(NamedTuple):
 
     @classmethod
     def of(cls, sensors: Mapping[str, Biases | None]) -> SensorError | None:
-        """Return the errors of sensors, in the order of their names; None where no sensor has one."""
+        """Collect the errors of sensors, in the order of their names; None without errors."""
         deviations, memories, places = list[float](), list[float](), dict[str, list[int | None]]()
         for name, biases in sorted(sensors.items()):
             if biases is None:
@@ -63,16 +63,16 @@ class SensorError(NamedTuple):
 
     @property
     def added(self) -> int:
-        """K."""
+        """Number of errors K."""
         return len(self.deviations)
 
     @property
     def about(self) -> list[list[float]]:
-        """Plain numbers that tell one error from another."""
+        """Plain numbers that identify the error model."""
         return [self.deviations.tolist(), self.memories.tolist()]
 
     def belief(self, belief: Belief) -> Belief:
-        """Return the augmented belief, errors independent of the state."""
+        """Return the augmented belief, with errors independent of the state."""
         mean, chol = belief
         both, size = pad(chol, (0, self.added, 0, self.added)), mean.shape[-1]
         both[:, size:, size:] = self.deviations.to(mean).diag()
@@ -91,17 +91,17 @@ class SensorError(NamedTuple):
         return augmented
 
     def process_noise(self, additive: Tensor, dt: float) -> Tensor:
-        """Return Q of one step of augmented states from that of the others, (D, D) or (B, D, D)."""
+        """Return Q of one step of augmented states from that of the other components, (D, D) or (B, D, D)."""
         both, size = pad(additive, (0, self.added, 0, self.added)), additive.shape[-1]
         both[..., size:, size:] = self._kick(dt).square().diag()
         return both
 
     def measurement(self, measurement: Measurement, sensor: str = "") -> Measurement:
-        """Return the model of augmented states, from that of the others."""
+        """Return the measurement model of augmented states, from that of the other components."""
         return Biased(measurement, self.mixing(len(measurement.names), sensor))
 
     def mixing(self, size: int, sensor: str = "") -> Tensor:
-        """Return the matrix (K, M) by which errors, as rows, add to the M components of a sensor."""
+        """Return the matrix (K, M) that maps row vectors of errors to the M components of a sensor."""
         matrix = torch.zeros(self.added, size, dtype=torch.float64)
         for component, place in enumerate(self.places.get(sensor, ())):
             if place is not None:
@@ -109,7 +109,7 @@ class SensorError(NamedTuple):
         return matrix
 
     def process(self, process: Process) -> Process:
-        """Return an online process of augmented states; the models of its sensors are lifted one by one."""
+        """Return the online process of augmented states; sensor models are augmented individually."""
 
         def lifted(belief: Belief) -> Belief:
             return self.belief(process.lifted(belief))
@@ -122,7 +122,7 @@ class SensorError(NamedTuple):
         return process._replace(flow=self.flow(process.flow), noise=noise, lifted=lifted, about=about)
 
     def drawn(self, batch: int, steps: int, dt: float, generator: torch.Generator) -> Tensor:
-        """Return errors (B, T, K) at the ends of T steps, of their stationary law."""
+        """Draw errors (B, T, K) at the ends of T steps, from their stationary distribution."""
         draws = torch.randn(batch, steps, self.added, generator=generator, dtype=torch.float64)
         errors = [self.deviations * draws[:, 0]]
         for draw in draws[:, 1:].unbind(1):
@@ -130,16 +130,16 @@ class SensorError(NamedTuple):
         return torch.stack(errors, dim=1)
 
     def _kept(self, dt: TimeStep) -> Tensor:
-        """Return the fractions of the errors that a step leaves."""
+        """Return the fractions of the errors that remain after a step."""
         return torch.exp(-torch.as_tensor(dt, dtype=torch.float64) / self.memories)
 
     def _kick(self, dt: float) -> Tensor:
-        """Return the standard deviations (K,) of what a step adds to the errors."""
+        """Return the standard deviations (K,) of the error increments of a step."""
         return self.deviations * (-torch.expm1(-2.0 * dt / self.memories)).sqrt()
 
 
 class Biased:
-    """A measurement model that adds errors, the last components of augmented states, to what another sees."""
+    """Measurement model that adds sensor errors, the last components of augmented states."""
 
     def __init__(self, model: Measurement, mixing: Tensor) -> None:
         self.model, self.names, self.units = model, model.names, model.units
@@ -151,5 +151,5 @@ class Biased:
         return self.model(state, t) + errors @ self.mixing.to(x)
 
     def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return y - y_pred as the model has it."""
+        """Return y - y_pred as defined by the model."""
         return residual(self.model, y, y_pred)

@@ -1,4 +1,4 @@
-"""From the options of the plugin and a system to the setting that all models of an evaluation share."""
+"""Construction of the evaluation setting from plugin options and a system."""
 
 from __future__ import annotations
 
@@ -31,21 +31,22 @@ def make_setting(
     cadence: Count,
     times: Sequence[float] | None,
 ) -> Setting:
-    """Return the setting of a system from the options of `UKFEvaluation`.
+    """Build the setting of a system from the options of `UKFEvaluation`.
 
     Args:
-        system: what is measured.
-        steps: of the shortest trajectory.
-        measurement: a model, or the name of one that reads the state itself.
-        measurement_sd: standard deviations of its noise; None takes the system's own for positions.
-        start_sd: of the initial state (`state_deviations`); None takes the system's own.
-        bias_sd: standard deviations of biases of the measurements, which are estimated; None for none.
-        bias_memory: their time constants; None for constant ones.
+        system: measured system.
+        steps: number of steps of the shortest trajectory.
+        measurement: a measurement model, or the name of one that measures state components.
+        measurement_sd: standard deviations of its noise; None for the system's default, for positions.
+        start_sd: standard deviations of the initial state (`state_deviations`); None for the system's
+            default.
+        bias_sd: standard deviations of estimated measurement biases; None for no biases.
+        bias_memory: time constants of the biases; None for constant biases.
         cadence: steps between two measurements.
-        times: of the measurements, in place of a cadence.
+        times: measurement times, as an alternative to a cadence.
 
     Raises:
-        UserError: no measurement falls within a trajectory, or an option does not fit the system.
+        UserError: no measurement falls within a trajectory, or an option is incompatible with the system.
     """
     updates = _cadence(cadence, steps) if times is None else _samples(times, system.dt, steps)
     model = reading(measurement, system.space) if isinstance(measurement, str) else measurement
@@ -66,7 +67,7 @@ def _cadence(cadence: int, steps: int) -> tuple[int, ...]:
 
 
 def _samples(times: Sequence[float], dt: float, steps: int) -> tuple[int, ...]:
-    """Return the samples at given times."""
+    """Return the sample indices at given times."""
     samples = [round(t / dt) if math.isfinite(t) else -1 for t in times]
     there = all(abs(k * dt - t) <= 1e-6 * dt and 1 <= k <= steps for k, t in zip(samples, times, strict=True))
     if not samples or not there or samples != sorted(set(samples)):
@@ -79,7 +80,7 @@ def _samples(times: Sequence[float], dt: float, steps: int) -> tuple[int, ...]:
 
 
 def _try(measurement: Any, system: System, time: float) -> None:
-    """Try a measurement model on an initial state."""
+    """Evaluate a measurement model on an initial state as a check."""
     x = system.initial_states(1, torch.Generator().manual_seed(0))
     mass = getattr(measurement, "mass", system.inertia)
     if mass != system.inertia:
@@ -103,7 +104,7 @@ def _try(measurement: Any, system: System, time: float) -> None:
 
 
 def require_measurement(measurement: Any) -> None:
-    """Refuse what is no measurement; raises UserError."""
+    """Raise UserError for anything but a measurement model."""
     if isinstance(measurement, str):
         return
     if isinstance(measurement, dict):
@@ -122,15 +123,15 @@ def require_measurement(measurement: Any) -> None:
 
 
 def near_system(truth: System | None, beside: System | None, space: Space) -> System:
-    """Return the system whose default noise and initial states the settings of a filter are made of.
+    """Return the system that provides default noise and initial states for filter settings.
 
     Args:
-        truth: the equations of the data, if they are known.
-        beside: a system that is near data whose equations are not known.
-        space: what the numbers of the data mean.
+        truth: known equations of the data, or None.
+        beside: a similar system for data with unknown equations.
+        space: description of the state components.
 
     Raises:
-        UserError: neither is there, or both, or the second has other units.
+        UserError: neither or both systems are given, or the units of the second differ.
     """
     if beside is not None and (truth is not None or beside.units != space.units):
         received = f"those of {space.name}" if truth is not None else str(space.units)

@@ -1,7 +1,7 @@
-"""Rauch-Tung-Striebel smoother on factors.
+"""Rauch-Tung-Striebel smoother in factored form.
 
-A filter keeps, for each step, the law of the state before it given the state after it. The smoother then only
-composes these laws backwards: no covariance is subtracted, so none can become indefinite.
+A filter stores, for each step, the conditional distribution of the state before it given the state after it.
+The smoother composes these backwards: no covariance is subtracted, so none can become indefinite.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from ahnn.estimation.linalg import tria
 from ahnn.estimation.results import Backward, FilterResult, SmootherResult
 
 RANK = 1e-12
-"""Singular values below this fraction of the largest, of a factor with rows of unit length, count as zero."""
+"""Relative singular value of a factor with unit rows below which it is treated as zero."""
 
 
 def backward_law(joint: Tensor) -> tuple[Backward, Tensor | None]:
-    """Return the law of the state before a step given the state after it, one step of (B, D, D).
+    """Return the conditional distribution of the state before a step given that after it, (B, D, D).
 
-    The gain is G = C P⁻¹ with C the covariance of the states before and after, P the predicted covariance
-    (Särkkä 2008, eq. 14); the conditional covariance is that of the smoother, P_k - G P Gᵀ, as a factor.
-    Where P is singular, G = C P⁺ with the pseudo-inverse of P scaled to unit variances.
+    The gain is G = C P⁻¹ with C the cross-covariance of the states before and after, P the predicted
+    covariance (Särkkä 2008, eq. 14); the conditional covariance is that of the smoother, P_k - G P Gᵀ, as a
+    factor. Where P is singular, G = C P⁺ with the pseudo-inverse of P scaled to unit variances.
 
     Args:
         joint: (B, 2 D, 2 D) lower factor of the covariance of the states after and before, in this order.
 
     Returns:
-        The law, and which members had a singular P, (B,) bool; None if no member.
+        The distribution, and members with singular P, (B,) bool, or None.
     """
     size = joint.shape[-1] // 2
     chol_next, cross, chol_given = joint[:, :size, :size], joint[:, size:, :size], joint[:, size:, size:]
@@ -42,11 +42,11 @@ def backward_law(joint: Tensor) -> tuple[Backward, Tensor | None]:
 
 
 def _singular(chol: Tensor) -> Tensor:
-    """Return which finite lower factors (B, D, D) have no inverse to rounding, (B,) bool."""
+    """Return whether finite lower factors (B, D, D) are numerically singular, (B,) bool."""
     diagonal = torch.diagonal(chol, dim1=-2, dim2=-1)
     deviation = chol.norm(dim=-1)
-    # The diagonal is no smaller than the smallest singular value, but may well be larger: it only tells whom
-    # to look at.
+    # The smallest diagonal element bounds the smallest singular value from above, so it only selects
+    # candidates.
     suspect = (diagonal <= 100.0 * RANK * deviation).any(-1) & deviation.isfinite().all(-1)
     if bool(suspect.any()):
         values = torch.linalg.svdvals(_scaled(chol[suspect])[0])
@@ -55,16 +55,16 @@ def _singular(chol: Tensor) -> Tensor:
 
 
 def _singular_law(chol_next: Tensor, cross: Tensor, chol_given: Tensor) -> tuple[Tensor, Tensor]:
-    """Return gains and conditional factors (B, D, D) where the predicted covariance has no inverse."""
+    """Return gains and conditional factors (B, D, D) for singular predicted covariances."""
     scaled, deviation = _scaled(chol_next)
     gain = cross @ (torch.linalg.pinv(scaled, rtol=RANK) / deviation.mT)
-    # The part of the state that leaves no trace in the image stays uncertain.
+    # The part of the state that does not affect the image stays uncertain.
     rest = cross - gain @ chol_next
     return gain, tria(torch.cat((chol_given.mT, rest.mT), dim=1))
 
 
 def _scaled(chol: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the factor of the correlation matrix, and the deviations (B, D, 1); a zero row stays."""
+    """Return the factor of the correlation matrix, and the deviations (B, D, 1); zero rows are kept."""
     deviation = chol.norm(dim=-1, keepdim=True)
     deviation = torch.where(deviation > 0.0, deviation, 1.0)
     return chol / deviation, deviation
@@ -72,12 +72,12 @@ def _scaled(chol: Tensor) -> tuple[Tensor, Tensor]:
 
 @torch.no_grad()
 def smoother(result: FilterResult) -> SmootherResult:
-    """Return the beliefs given all measurements, from a filter that ran with `smoothing=True`.
+    """Compute the beliefs given all measurements, from a filter run with `smoothing=True`.
 
     A member that failed at step k is smoothed over its steps before k, and NaN from there on.
 
     Raises:
-        ValueError: if the filter kept no backward kernels.
+        ValueError: the filter kept no backward kernels.
     """
     if result.backward is None:
         message = "smoother: expected backward kernels; received None; run the filter with smoothing=True"

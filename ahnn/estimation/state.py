@@ -1,7 +1,7 @@
-"""State of a recursive estimator between two calls, and the book-keeping of its members.
+"""State of a recursive estimator between calls, and bookkeeping of its members.
 
-A member that fails is frozen: it keeps its place in the batch with the last belief that was sound, so that
-the shapes, and with them every bit of the other members, stay as they are.
+A failed member is frozen: it stays in the batch with its last valid belief, so that tensor shapes, and with
+them every bit of the other members, are unchanged.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from ahnn.estimation.belief import Belief, Status, choose, leading
 
 
 class EstimatorState(Protocol):
-    """What an estimator carries for B members: a NamedTuple of tensors and of NamedTuples of tensors."""
+    """Estimator state of B members: a NamedTuple of tensors and of NamedTuples of tensors."""
 
     @property
     def time(self) -> Tensor:
-        """() float64, at which it holds."""
+        """() float64, time of the state."""
         ...
 
     @property
@@ -36,36 +36,36 @@ class EstimatorState(Protocol):
 
 
 class MemberState(EstimatorState, Protocol):
-    """A state with a status of each member, of Gaussian filters and of samples; see `FilterState`."""
+    """State with member statuses, of Gaussian and sample filters; see `FilterState`."""
 
     @property
     def belief(self) -> Belief:
-        """The moments."""
+        """Moments as a belief."""
         ...
 
     @property
     def steps(self) -> Tensor:
-        """() int64, predictions made so far."""
+        """() int64, number of predictions so far."""
         ...
 
     @property
     def failed_step(self) -> Tensor:
-        """(B,) int64, the prediction at which the status was given."""
+        """(B,) int64, the prediction at which the member failed."""
         ...
 
     @property
     def rejections(self) -> Tensor:
-        """(B,) int64, rows that the gate refused in a row."""
+        """(B,) int64, consecutive rows rejected by the gate."""
         ...
 
     @property
     def repairs(self) -> Tensor:
-        """(B,) int64, covariances that had to be mended."""
+        """(B,) int64, number of repaired covariances."""
         ...
 
     @property
     def log_likelihood(self) -> Tensor:
-        """(B,) float64, of the accepted measurements."""
+        """(B,) float64, log-likelihood of the accepted measurements."""
         ...
 
     @property
@@ -74,11 +74,11 @@ class MemberState(EstimatorState, Protocol):
         ...
 
     def where(self, condition: Tensor, other: Self) -> Self:
-        """Return the state in which members without the condition, (B,) bool, have another's estimates."""
+        """Return a state with another's estimates for members where the condition, (B,) bool, is false."""
         ...
 
     def leading(self, size: int) -> Self:
-        """Return the state of the first components alone."""
+        """Return the state of the leading components."""
         ...
 
 
@@ -86,18 +86,18 @@ Kept = TypeVar("Kept", bound=MemberState)
 
 
 class FilterState(NamedTuple):
-    """All that a recursive estimator carries; a new measurement needs nothing older than this.
+    """Complete state of a recursive estimator; new measurements need no earlier data.
 
     Attributes:
-        belief: about the states of B members, float64; of a member that failed, the last sound one.
-        time: () float64, at which the belief holds.
-        steps: () int64, predictions made so far.
+        belief: belief about the states of B members, float64; the last valid one for a failed member.
+        time: () float64, time of the belief.
+        steps: () int64, number of predictions so far.
         status: (B,) int64, see `Status`.
-        failed_step: (B,) int64, the prediction, counted from 0, in or after which the status was given; -1
-            while it is OK.
-        rejections: (B,) int64, rows that the gate refused in a row up to now.
-        repairs: (B,) int64, covariances that had to be mended.
-        log_likelihood: (B,) float64, of the accepted measurements.
+        failed_step: (B,) int64, index from 0 of the prediction during or after which the member failed; -1
+            while OK.
+        rejections: (B,) int64, current number of consecutive rows rejected by the gate.
+        repairs: (B,) int64, number of repaired covariances.
+        log_likelihood: (B,) float64, log-likelihood of the accepted measurements.
     """
 
     belief: Belief
@@ -120,16 +120,16 @@ class FilterState(NamedTuple):
         return self.status == Status.OK
 
     def where(self, condition: Tensor, other: FilterState) -> FilterState:
-        """Return the state in which members without the condition, (B,) bool, have another's belief."""
+        """Return a state that takes another's belief for members where the condition, (B,) bool, is false."""
         return self._replace(belief=choose(condition, self.belief, other.belief))
 
     def leading(self, size: int) -> FilterState:
-        """Return the state of the first components alone."""
+        """Return the state of the leading components."""
         return self._replace(belief=leading(self.belief, size))
 
 
 def initial_state(belief: Belief, time: float = 0.0) -> FilterState:
-    """Return the state of a batch in which nothing has happened."""
+    """Return the initial state of a batch."""
     device = belief.mean.device
     zeros = torch.zeros(len(belief.mean), dtype=torch.int64, device=device)
     return FilterState(
@@ -145,11 +145,11 @@ def initial_state(belief: Belief, time: float = 0.0) -> FilterState:
 
 
 def fail(state: Kept, bad: Tensor, status: Status) -> Kept:
-    """Give a status to the living members among `bad`, (B,) bool."""
+    """Assign a status to active members among `bad`, (B,) bool."""
     bad = bad & state.alive
     if not bool(bad.any()):
         return state
-    # Before the first prediction there is only the start, which belongs to step 0.
+    # Before the first prediction, failures belong to step 0.
     step = (state.steps - 1).clamp(min=0)
     return state._replace(
         status=torch.where(bad, int(status), state.status),
@@ -158,12 +158,12 @@ def fail(state: Kept, bad: Tensor, status: Status) -> Kept:
 
 
 def add_repairs(state: Kept, repairs: Tensor | None) -> Kept:
-    """Count the repairs of living members, (B,) bool or int64."""
+    """Add the repairs of active members, (B,) bool or int64, to their counts."""
     if repairs is None:
         return state
     return state._replace(repairs=state.repairs + repairs * state.alive)
 
 
 def frozen(state: Kept, sound: Kept) -> Kept:
-    """Return the state in which members that failed have the estimates that were sound."""
+    """Return the state with failed members reset to their last valid estimates."""
     return state.where(state.alive, sound) if bool(state.status.any()) else state

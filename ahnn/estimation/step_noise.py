@@ -1,4 +1,4 @@
-"""Steps in time, as a filter is told them, and the process noise of each."""
+"""Time grid of a filter, and process noise of each step."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from ahnn.numbers import Numbers
 
 
 class StepGrid(NamedTuple):
-    """Steps in time: their lengths, and the times () at which they end."""
+    """Time steps: lengths, and end times ()."""
 
     lengths: list[float]
     times: list[Tensor]
 
     @classmethod
     def of(cls, dt: Numbers, steps: int, start: Tensor) -> StepGrid:
-        """Return T steps of one length or of (T,) lengths from a time on.
+        """Build T steps of one length or of lengths (T,) from a start time.
 
         Raises:
-            ValueError: another shape, or steps that are not positive.
+            ValueError: wrong shape, or steps that are not positive.
         """
         lengths = checked_steps(dt, steps)
         if lengths.ndim == 0:
@@ -37,10 +37,10 @@ class StepGrid(NamedTuple):
 
 
 def process_factor(process_noise: ProcessNoise, belief: Belief) -> Callable[[float], Tensor]:
-    """Return the factor of Q, (B, D, D), as a function of the step; each length is factored once.
+    """Return the factor of Q, (B, D, D), as a function of the step; each distinct length is factored once.
 
     Raises:
-        ValueError: no covariance; from the function for a noise that is one of the step.
+        ValueError: not a covariance; raised by the returned function if the noise depends on the step.
     """
     batch, size = belief.mean.shape
 

@@ -1,4 +1,4 @@
-"""What is kept of each step, and how the steps become one result."""
+"""Records of filter steps, and their collection into a result."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ahnn.estimation.state import MemberState
 
 
 class StepRecord(NamedTuple):
-    """One step: beliefs before and after the update, and the update itself where there was one."""
+    """Record of one step: beliefs before and after the update, and the update, if any."""
 
     predicted: Belief
     posterior: Belief
@@ -25,7 +25,7 @@ class StepRecord(NamedTuple):
 def collected(
     steps: list[StepRecord], before: MemberState, after: MemberState, measurements: Tensor
 ) -> FilterResult:
-    """Return the result of the steps between two states, NaN from the failed step of a member on."""
+    """Collect step records between two states into a result, NaN from the failed step of a member on."""
     present = ~torch.isnan(measurements)
     failed_step = torch.where(after.alive, -1, (after.failed_step - before.steps).clamp(min=0))
     valid = _valid(after, failed_step, len(steps))
@@ -57,7 +57,7 @@ def collected(
 
 
 def _valid(state: MemberState, failed_step: Tensor, steps: int) -> Tensor | None:
-    """Return which steps of which members hold, (B, T) bool; None if all do."""
+    """Return the mask of valid steps, (B, T) bool; None if all are valid."""
     if not bool(state.status.any()):
         return None
     step = torch.arange(steps, device=state.status.device)
@@ -65,7 +65,7 @@ def _valid(state: MemberState, failed_step: Tensor, steps: int) -> Tensor | None
 
 
 def _masked(values: Tensor, valid: Tensor | None) -> Tensor:
-    """Return values (B, T, ...) with NaN where they do not hold."""
+    """Return values (B, T, ...) with NaN at invalid steps."""
     if valid is None:
         return values
     return torch.where(valid.reshape(valid.shape + (1,) * (values.ndim - 2)), values, torch.nan)

@@ -1,4 +1,4 @@
-"""An estimator as an evaluation tries it: a process model with its constants, run on a problem."""
+"""Trial of an estimator in an evaluation: process model and constants, run on a problem."""
 
 from __future__ import annotations
 
@@ -24,15 +24,16 @@ from ahnn.types import Flow, TimeStep
 
 
 class Filter(NamedTuple):
-    """A process model, what it is believed to be worth, and the estimator that takes it.
+    """Process model with noise covariances and an estimator.
 
     Attributes:
-        name: in tables.
+        name: name in tables.
         flow: the process model.
-        process_noise: Q of one step, (D, D) or (B, D, D).
-        measurement_noise: R, (M, M) or (B, M, M).
-        estimator: with its gate.
-        force_error: of the force, relative and with memory, or of the parameters, besides Q; None for none.
+        process_noise: covariance Q of one step, (D, D) or (B, D, D).
+        measurement_noise: covariance R, (M, M) or (B, M, M).
+        estimator: estimator with its gate.
+        force_error: error model in addition to Q: of the force, relative and with memory, or of the
+            parameters; or None.
     """
 
     name: str
@@ -43,7 +44,7 @@ class Filter(NamedTuple):
     force_error: ForceError | ParameterError | None = None
 
     def scaled(self, q: Tensor | float, r: Tensor | float = 1.0) -> Filter:
-        """Return the filter with factors of all its process noise and of R, numbers or (B,)."""
+        """Scale the process noise and R of the filter by factors, numbers or (B,)."""
         error = self.force_error
         return self._replace(
             process_noise=_times(q, self.process_noise),
@@ -63,11 +64,11 @@ def assimilate(chosen: Filter, setting: Setting, problem: Problem) -> FilterResu
 
 
 class Behind(NamedTuple):
-    """Estimators that know all measurements, beside a filter.
+    """Results of estimators that use all measurements, in addition to a filter.
 
     Attributes:
-        smoothed: by the smoothers that are asked for, by name.
-        batch: by batch least squares, which takes the flow as exact; None where it is not asked for.
+        smoothed: results of the requested smoothers, by name.
+        batch: result of batch least squares, which assumes an exact flow; None if not requested.
     """
 
     smoothed: dict[str, Smoothed]
@@ -77,9 +78,9 @@ class Behind(NamedTuple):
 def assimilate_all(
     chosen: Filter, setting: Setting, problem: Problem, smoothers: Sequence[str], *, batch: bool = False
 ) -> tuple[FilterResult, Behind]:
-    """Run a filter on a problem, the smoothers behind it, and what else is asked for.
+    """Run a filter on a problem, its smoothers, and the other requested estimators.
 
-    Rows that the gate of the filter refused count for none of them.
+    Rows rejected by the filter's gate are ignored by all of them.
     """
     model, known = _batch(chosen, setting, problem), chosen.estimator.smoothers
     result = chosen.estimator.run(*model, smoothing=bool(smoothers))
@@ -98,7 +99,7 @@ def assimilate_all(
 
 
 def _batch(chosen: Filter, setting: Setting, problem: Problem) -> Batch:
-    """Return what an estimator is given first: the states themselves, or augmented by errors."""
+    """Build the batch of an estimator, with plain states or states augmented by errors."""
     belief, rows = initial_belief(problem.starts, setting.start_covariance), problem.measurements
     q, r = chosen.process_noise, chosen.measurement_noise
     batch = Batch(problem.driven(chosen.flow), belief, rows, setting.measurement, q, r, problem.dt)
@@ -114,13 +115,13 @@ def _batch(chosen: Filter, setting: Setting, problem: Problem) -> Batch:
 
 
 def _augments(chosen: Filter, setting: Setting) -> bool:
-    """Return whether more than the state is estimated."""
+    """Return whether the estimated state is augmented."""
     return chosen.force_error is not None or setting.sensor_error is not None
 
 
 @contextmanager
 def shown(flow: Flow, description: str, calls: int) -> Iterator[Flow]:
-    """Give a flow that moves a progress bar at each of its `calls` calls."""
+    """Yield a flow that advances a progress bar at each of its `calls` calls."""
     with progress_bar() as bar:
         task = bar.add_task(description, total=calls)
 
@@ -128,18 +129,18 @@ def shown(flow: Flow, description: str, calls: int) -> Iterator[Flow]:
 
 
 class _Shown(NamedTuple):
-    """A flow that says when it is called."""
+    """Flow that reports its calls."""
 
     flow: Flow
     advance: Callable[[], None]
 
     @property
     def clock(self) -> int:
-        """Clock coordinates of its states."""
+        """Number of clock coordinates of its states."""
         return clock_of(self.flow)
 
     def at(self, time: float | Tensor) -> Flow:
-        """Return the flow from an instant on."""
+        """Bind the flow to a start time."""
         return _Shown(at(self.flow, time), self.advance)
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:

@@ -1,7 +1,7 @@
 """Evaluation of a trained model: rollouts of unseen trajectories, floors, rows, results, sinks.
 
-A `Case` is what is evaluated. `report` does it all; `evaluate` returns the findings alone. Every row has an
-identity, `Who`, and every sink gets the same `Results`, which `load_results` reads again.
+A `Case` is the input of an evaluation. `report` evaluates and writes; `evaluate` only returns findings. Every
+row has an identity, `Who`, and every sink receives the same `Results`, which `load_results` reads back.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Prediction bands of a model whose parameters have a covariance, held against what then happened."""
+"""Prediction bands from a parameter covariance, and their coverage of unseen trajectories."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from ahnn.types import Space
 from ahnn.uncertainty import Uncertainty, rollout_sensitivities
 
 SIGMAS = (1, 2, 3)
-"""Half widths of the bands, in standard deviations."""
+"""Half-widths of the bands, in standard deviations."""
 NORMAL = tuple(math.erf(k / math.sqrt(2)) for k in SIGMAS)
-"""What they hold of normal errors."""
+"""Coverage of the bands for normal errors."""
 ROWS = 20_000
 """Times of all trajectories whose errors are tested, about: neighbouring ones say the same."""
 
 
 class Band(NamedTuple):
-    """Standard deviations of rollouts from the true start, and what they were worth.
+    """Standard deviations of rollouts from the true start, and their coverage.
 
     Attributes:
-        deviations: (B, T, D).
-        coverage: shares of the components of unseen states within 1, 2 and 3 of them.
+        deviations: (B, T, D) standard deviations.
+        coverage: fractions of components of unseen states within 1, 2 and 3 standard deviations.
         test: of their width, along the independent directions of the errors.
-        expected: rms norms of the errors, of positions and of velocities, that they stand for.
-        bound: the same from noise alone: the Cramer-Rao bound of the regularised parameters.
+        expected: expected rms norms of position and velocity errors.
+        bound: expected errors from noise alone: the Cramer-Rao bound of the regularised parameters.
         efficiency: rms norms of the errors in units of that bound.
         single: errors of the first trajectory at a quarter, half and all of its time, in standard deviations.
     """
@@ -72,7 +72,7 @@ class Band(NamedTuple):
 
 
 def banded(case: Case, uncertainty: Uncertainty, prediction: Tensor) -> Band:
-    """Return the band of a prediction (B, T, D) of the test trajectories from their true starts."""
+    """Compute the band of a prediction (B, T, D) of the test trajectories from their true starts."""
     count, samples = case.test.times.shape
     lengths = torch.as_tensor(case.dt, dtype=torch.float64).expand(count, samples - 1)
     dynamics, start = cast(Dynamics, case.flow), case.test.states[:, 0]
@@ -90,7 +90,7 @@ def banded(case: Case, uncertainty: Uncertainty, prediction: Tensor) -> Band:
 
     test = direction_test(tested())
     deviations, alone = (torch.cat(some).sqrt() for some in zip(*parts, strict=True))
-    alone = alone / uncertainty.inflation**0.5  # the last column is the offset, and both are inflated
+    alone = alone / uncertainty.inflation**0.5  # the last column is the offset; both are inflated
     bound = norms(alone.where(there, torch.nan), case.space.divisor)
     real = norms(off, case.space.divisor)
     later, band = off[:, 1:].abs(), deviations[:, 1:]
@@ -106,7 +106,7 @@ def banded(case: Case, uncertainty: Uncertainty, prediction: Tensor) -> Band:
 
 
 def percent(shares: tuple[float, ...]) -> str:
-    """Return shares as text."""
+    """Format fractions in percent."""
     return ", ".join(f"{100 * share:.3g}" for share in shares)
 
 
@@ -118,7 +118,7 @@ def norms(values: Tensor, divisor: float | Tensor) -> tuple[float, float]:
 
 
 def band_figure(case: Case, prediction: Tensor, deviations: Tensor) -> Figure:
-    """Draw the errors of one unseen trajectory within their band, positions above and velocities below."""
+    """Plot the errors of one unseen trajectory with their band, positions above and velocities below."""
     figure = style.canvas(8, 6)
     panels = figure.subplots(2, 1, sharex=True)
     axis, names = style.time_axis(case), style.state_labels(case)

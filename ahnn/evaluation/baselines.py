@@ -1,4 +1,4 @@
-"""What a prediction is worth: its relative error beside those of persistence and of a linear map."""
+"""Baselines of a prediction: relative errors of persistence and of a linear map."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from ahnn.numbers import in_percent
 from ahnn.types import Trajectories
 
 WORTHLESS = 0.9
-"""Fraction of the better baseline's error from which a model says no more than that baseline."""
+"""Fraction of the better baseline's error above which a model is no better than that baseline."""
 LINEAR = 0.05
-"""Relative error up to which a model is of use though a linear map is better, on linear motion."""
+"""Relative error up to which a model is useful although a linear map is better, for linear motion."""
 PAIRS = 200_000
-"""Steps that a linear map is fitted to, at most."""
+"""Maximum number of steps to which a linear map is fitted."""
 
 
 class Worth(NamedTuple):
-    """Relative errors: rms over samples and components, in standard deviations of the data.
+    """Relative errors of prediction and baselines: rms in standard deviations of the data.
 
-    A mean over the trajectories, as the errors of the table.
+    Mean over trajectories, as for the errors in the table; rms over samples and components.
 
     Attributes:
-        model: of the prediction.
-        persistence: of a state that stays what it was.
-        linear: of the affine map of a step that fits the training data best; None where steps differ, or
-            where no whole states are known.
+        model: error of the prediction.
+        persistence: error of a constant state.
+        linear: error of the best-fitting affine one-step map; None for unequal steps or without complete
+            states.
     """
 
     model: float
@@ -38,7 +38,7 @@ class Worth(NamedTuple):
 
     @property
     def worthless(self) -> bool:
-        """Whether a baseline does as well, or the mean of the data."""
+        """Whether a baseline, or the mean of the data, is as accurate."""
         known = [1.0, self.persistence]
         if self.linear is not None and self.model > LINEAR:
             known.append(self.linear)
@@ -61,14 +61,14 @@ class Worth(NamedTuple):
 
 
 def amount(error: float) -> str:
-    """Return a relative error in percent; what is no number diverges."""
+    """Format a relative error in percent; non-finite errors are shown as diverged."""
     return in_percent(error) if error < 100 else "over 10,000 %" if math.isfinite(error) else "infinite"
 
 
 def worth(case: Case, prediction: Tensor) -> Worth:
-    """Return what a prediction (B, T, D) of the test trajectories of a case is worth.
+    """Compare a prediction (B, T, D) of the test trajectories of a case with the baselines.
 
-    What was not measured does not count.
+    Unmeasured components are ignored.
     """
     truth = case.test.states
     still = truth[:, :1].expand_as(truth)
@@ -81,9 +81,9 @@ def worth(case: Case, prediction: Tensor) -> Worth:
 
 
 def relative_error(prediction: Tensor, truth: Tensor) -> float:
-    """Return the error of predictions (B, T, D), as the table has it: a mean over trajectories of the rms.
+    """Return the error of predictions (B, T, D), as in the table: the mean over trajectories of the rms.
 
-    Components count in their standard deviations; an error that is no number is infinite.
+    Components are divided by their standard deviations; a non-finite error is infinite.
     """
     known = truth.isfinite()
     count = known.sum((0, 1))
@@ -100,9 +100,9 @@ def relative_error(prediction: Tensor, truth: Tensor) -> float:
 
 
 def linear_prediction(case: Case) -> Tensor | None:
-    """Return what the affine map of a step predicts, (B, T, D); None where there is none.
+    """Predict with an affine one-step map, (B, T, D); None if it cannot be fitted.
 
-    Of controlled motion the map takes the controls, too.
+    For controlled motion the map includes the controls.
     """
     if isinstance(case.dt, Tensor) or not bool(case.train.present.any()):
         return None
@@ -125,7 +125,7 @@ def linear_prediction(case: Case) -> Tensor | None:
 
 
 def pairs(trajectories: Trajectories) -> tuple[Tensor, Tensor]:
-    """Return states, with controls beside them, where steps begin, (R, D + m), and where they end, (R, D)."""
+    """Return states with controls at the beginning of steps, (R, D + m), and states at the end, (R, D)."""
     states, present = trajectories.states, trajectories.present
     chosen = (present[:, :-1] & present[:, 1:]).nonzero()
     b, k = chosen[:: max(1, len(chosen) // PAIRS)].T

@@ -1,4 +1,4 @@
-"""What an evaluation works on, and what it finds: the interface between the library and its plugins."""
+"""Input and output of evaluations: the interface between the library and its plugins."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Start = Literal["true", "perturbed", "fitted"]
-"""Where a prediction begins: at the first true state, at one that is off by N(0, P0), or, where only
-measurements are known, at the one from which it meets them best."""
+"""Starts of predictions: the true initial state, one perturbed by N(0, P0), or, for measurements alone,
+the one that fits them best.
+"""
 
 
 @dataclass(frozen=True)
@@ -34,28 +35,28 @@ class Case:
 
     Attributes:
         label: name of the model in tables.
-        assumes: what the model takes as known of the dynamics.
-        space: what the numbers mean.
-        truth: the system whose equations are known, or None: then there are no floors and no energy errors.
+        assumes: prior knowledge of the dynamics assumed by the model.
+        space: description of the state components.
+        truth: system with known equations, or None for no floors and energy errors.
         flow: the learned flow.
         energy: the learned Hamiltonian, (..., D) -> (...), or None for a model without one.
-        integrator: one-step method of the model, and of the floor beside it; None for a map.
-        dt: sampling interval of the test trajectories, or all of their steps, (B, T - 1), where they differ.
-        test: whole trajectories of the split.
-        validation: likewise.
-        train: likewise.
-        perturbation: (B, D) initial errors of the perturbed start, the same for every model; None where no
-            P0 is known.
-        folder: where results are written.
-        measured: measurements of the test trajectories, where training saw nothing else.
-        robust: the loss of single residuals that the training took.
+        integrator: one-step method of the model and of its floor; None for a map.
+        dt: sampling interval of the test trajectories, or (B, T - 1) individual steps.
+        test: whole trajectories of the test split.
+        validation: whole trajectories of the validation split.
+        train: whole trajectories of the training split.
+        perturbation: (B, D) initial errors of the perturbed start, the same for every model; None if P0 is
+            unknown.
+        folder: output folder.
+        measured: measurements of the test trajectories, if training used measurements.
+        robust: robust loss of single residuals in the training.
         learned_from: measurements of the training trajectories, from their first sample on.
-        uncertainty: covariance of the learned parameters, where the training left one.
-        novelty: distance (...) of states (..., D) from the training data, where it is known.
-        fitted: (B, D) starts from which the model meets the measurements of the test trajectories best, where
-            nothing else is known of these: then `test` holds measurements, NaN in what is not measured.
+        uncertainty: covariance of the learned parameters, if available.
+        novelty: distance (...) of states (..., D) from the training data, if available.
+        fitted: (B, D) starts that best fit the measurements of the test trajectories, if no states are known;
+            `test` then contains measurements, NaN where unmeasured.
         noise: of the measurements, where the training estimated any.
-        remark: what the reader must know of the test trajectories; "" where they are those of the training.
+        remark: remark on the test trajectories; "" for those of the training.
     """
 
     label: str
@@ -81,7 +82,7 @@ class Case:
     remark: str = ""
 
     def starts(self) -> dict[Start, Tensor]:
-        """Return the initial states (B, D) of the starts of the paper, or those fitted to measurements."""
+        """Return the initial states (B, D) by start, as in the paper, or those fitted to measurements."""
         if self.fitted is not None:
             return {"fitted": self.fitted}
         true = self.test.states[:, 0]
@@ -93,17 +94,17 @@ class Case:
 
     @property
     def start(self) -> Start:
-        """The start whose rollouts are drawn."""
+        """Start of the plotted rollouts."""
         return "true" if self.fitted is None else "fitted"
 
     @property
     def longest(self) -> float:
-        """Step of the flow at most; of recorded measurements that of the training, which may lie between."""
+        """Maximum step of the flow; for recorded measurements that of the training, possibly shorter."""
         return math.inf if self.fitted is None or self.measured is None else self.measured.instrument.longest
 
     @cached_property
     def true_energy(self) -> Tensor | None:
-        """The energy along the test trajectories, (B, T); None where no equations are known."""
+        """Energy along the test trajectories, (B, T); None without known equations."""
         return None if self.truth is None else self.truth.energy(self.test.states)
 
     def score(self, prediction: Tensor, first: int = 0) -> Scores:
@@ -116,14 +117,14 @@ class Case:
 
 
 class Who(NamedTuple):
-    """Identity of a row: never a string to be cut.
+    """Identity of a row, structured instead of a string to be parsed.
 
     Attributes:
-        process: the flow that predicts, `model`, or the name of a floor such as `exact field, rk4`.
-        start: where it begins.
-        estimator: what assimilates measurements, such as `ukf`; None for a prediction without any.
+        process: process model: `model`, or the name of a floor such as `exact field, rk4`.
+        start: start of the prediction.
+        estimator: estimator of measurements, such as `ukf`; None for a pure prediction.
         span: `whole`, or `settled`: from the first update on.
-        floor: whether perfect knowledge predicts, and not a model.
+        floor: whether the row is a floor, computed with perfect knowledge.
     """
 
     process: str
@@ -134,12 +135,12 @@ class Who(NamedTuple):
 
 
 class Row(NamedTuple):
-    """A line of the results.
+    """Row of the results.
 
     Attributes:
-        who: its identity.
-        scores: the errors.
-        note: what the reader must know to judge the line, each finding on a line of its own.
+        who: identity of the row.
+        scores: errors of the row.
+        note: remarks for the interpretation of the row, one finding per line.
         extra: further numbers for metrics.json.
     """
 
@@ -151,10 +152,10 @@ class Row(NamedTuple):
 
 @dataclass
 class Findings:
-    """What an evaluation reports: rows, numbers, arrays and figures, each under its own name.
+    """Output of an evaluation: named rows, numbers, arrays and figures.
 
     Attributes:
-        notes: findings without a row of their own, which go to the first one of the evaluation.
+        notes: findings without a row, attached to the first row of the evaluation.
         faults: findings that ask for a remedy, for the verdict.
         highlights: further findings for the verdict.
     """
@@ -177,10 +178,10 @@ class Findings:
 
 @runtime_checkable
 class EvaluationPlugin(Protocol):
-    """An evaluation that runs after fit; plugins are named in YAML and built from it."""
+    """Evaluation run after training; plugins are named in and built from YAML."""
 
     def check(self, truth: System | None, space: Space, steps: int) -> None:
-        """Raise UserError for what does not fit the data; called before anything is trained."""
+        """Raise UserError for options incompatible with the data; called before training."""
         ...
 
     def __call__(self, case: Case) -> Findings:
@@ -189,7 +190,7 @@ class EvaluationPlugin(Protocol):
 
 
 def perturbations(system: System, count: int, seed: int) -> Tensor:
-    """Draw initial errors N(0, P0), shape (count, D), P0 from the system's default noise."""
+    """Draw initial errors N(0, P0), shape (count, D), with with P0 from the system's default noise."""
     generator = torch.Generator().manual_seed(seed)
     noise = torch.randn(count, 2 * system.dof, generator=generator, dtype=torch.float64)
     return noise * system.deviations()

@@ -1,7 +1,7 @@
-"""Whether data conserve what a model conserves: tests of dissipation and of dependence on time.
+"""Conservation tests of data: dissipation and explicit time dependence.
 
-A learned Hamiltonian is a function of the state that its own flow conserves. Along data without friction it
-stays where it is, up to the error of the model, and has no trend; along data with friction it falls.
+A learned Hamiltonian is conserved by its own flow. Along data without friction it is constant up to the model
+error, without a trend; along data with friction it decreases.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from ahnn.numbers import in_percent
 from ahnn.rollouts import clock_of, stepped
 
 PIECES = 8
-"""Pieces of trajectories whose trends are compared, at least."""
+"""Minimum number of trajectory segments whose trends are compared."""
 SURE = 6.0
-"""Standard errors beyond which a trend is none of chance."""
+"""Standard errors beyond which a trend is significant."""
 NOTABLE = 0.02
-"""Fraction of the energy above its least that a trajectory loses or wins, from which it is worth a word."""
+"""Minimum reported gain or loss of a trajectory, as a fraction of the energy above its minimum."""
 COMMON = 0.5
-"""Fraction of what a model misses that all trajectories share at one time, from which time itself acts."""
+"""Fraction of model residuals common to all trajectories at equal times that indicates time dependence."""
 MISSED = 1e-3
-"""What a model misses of a step, as a fraction of the steps, from which it is worth a word."""
+"""Minimum reported model residual per step, as a fraction of the steps."""
 TOGETHER = 0.9
-"""Fraction of the spread of the states that time explains, from which state and time are not told apart."""
+"""Fraction of the state variance explained by time above which state and time are indistinguishable."""
 DEGREE = 4
-"""Of the polynomials of the state that what a model misses is compared with first."""
+"""Degree of the polynomials of the state first fitted to model residuals."""
 FEATURES = 150
-"""Such polynomials, at most."""
+"""Maximum number of such polynomials."""
 
 
 class Trend(NamedTuple):
-    """How the learned energy changes along data.
+    """Trend of the learned energy along data.
 
     Attributes:
-        rate: of the energy above its least, as a fraction in a unit of time; negative where it is lost.
+        rate: relative rate of the energy above its minimum, per unit of time; negative for a loss.
         error: standard error of the rate.
-        whole: the change over a trajectory, as a fraction.
+        whole: relative change over a trajectory.
     """
 
     rate: float
@@ -49,11 +49,11 @@ class Trend(NamedTuple):
 
     @property
     def found(self) -> bool:
-        """Whether the data win or lose energy."""
+        """Whether the data gain or lose energy significantly."""
         return abs(self.rate) > SURE * self.error and abs(self.whole) > NOTABLE
 
     def sentence(self, unit: str) -> str:
-        """Return the finding in words; "" where the energy has no trend."""
+        """Return the finding in words; "" without a trend."""
         if not self.found:
             return ""
         per = "in a unit of time" if unit == "1" else f"per {unit}"
@@ -65,11 +65,11 @@ class Trend(NamedTuple):
 
 
 class TimeTest(NamedTuple):
-    """Whether what a model misses depends on time.
+    """Test of explicit time dependence of model residuals.
 
     Attributes:
-        common: fraction of it that all trajectories share at one time.
-        missed: rms of it, as a fraction of the rms step.
+        common: fraction of the residual variance common to all trajectories at equal times.
+        missed: rms residual, as a fraction of the rms step.
     """
 
     common: float
@@ -77,11 +77,11 @@ class TimeTest(NamedTuple):
 
     @property
     def found(self) -> bool:
-        """Whether time itself acts."""
+        """Whether an explicit time dependence is found."""
         return self.common > COMMON and self.missed > MISSED
 
     def sentence(self) -> str:
-        """Return the finding in words; "" where time does not show."""
+        """Return the finding in words; "" without time dependence."""
         if not self.found:
             return ""
         return (
@@ -92,13 +92,13 @@ class TimeTest(NamedTuple):
 
 
 def conserves(flow: Any) -> bool:
-    """Return whether a flow conserves its energy: no force beside the Hamiltonian does work."""
+    """Return whether a flow conserves its energy, i.e. has no non-conservative forces."""
     field = getattr(flow, "field", None)
     return not (isinstance(field, Forced) and field.forces_work)
 
 
 def energy_trend(case: Case) -> Trend | None:
-    """Return how the learned energy changes along the test trajectories; None where that says nothing."""
+    """Return the trend of the learned energy along the test trajectories; None if inconclusive."""
     if case.energy is None or not conserves(case.flow):
         return None
     states, times = case.test.states, case.test.times
@@ -114,14 +114,14 @@ def energy_trend(case: Case) -> Trend | None:
     slopes, above, weight = slopes[known], above[known], float(above[known].square().sum())
     if len(slopes) < PIECES or not weight > 0:
         return None
-    rate = float((slopes * above).sum()) / weight  # of slopes in proportion to the energy
+    rate = float((slopes * above).sum()) / weight  # slopes relative to the energy
     left = (slopes - rate * above).square().sum() / (len(slopes) - 1)
     span = float((times.nan_to_num(nan=-torch.inf).amax(1) - times[:, 0]).median())
     return Trend(rate, (float(left) / weight) ** 0.5, rate * span)
 
 
 def slope(values: Tensor, times: Tensor) -> tuple[Tensor, Tensor]:
-    """Return slopes and means of values (B, T) over times (B, T), shape (B,), NaN where too few are there."""
+    """Return slopes and means of values (B, T) over times (B, T), shape (B,), NaN for too few values."""
     t = torch.where(values.isfinite(), times, torch.nan)
     t = t - t.nanmean(1, keepdim=True)
     middle = values.nanmean(1)
@@ -129,11 +129,10 @@ def slope(values: Tensor, times: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def time_test(case: Case) -> TimeTest | None:
-    """Return whether time itself acts on the test trajectories; None where that says nothing.
+    """Test the test trajectories for explicit time dependence; None if inconclusive.
 
-    Residuals of single steps, less the polynomial of the state that fits them best, are compared with their
-    mean over the trajectories at each time. Where all trajectories run in step, what depends on the state
-    depends on time.
+    One-step residuals minus their best-fitting polynomial of the state are compared with their mean over
+    trajectories at each time. For synchronous trajectories state and time dependence are indistinguishable.
     """
     states, times = case.test.states, case.test.times
     if clock_of(case.flow) or isinstance(case.dt, Tensor) or len(states) < PIECES:
@@ -156,11 +155,11 @@ def time_test(case: Case) -> TimeTest | None:
 
 
 def without_state(values: Tensor, states: Tensor) -> Tensor:
-    """Return what polynomials of the states (B, T, D) do not explain of values (B, T, C)."""
+    """Return values (B, T, C) minus their best-fitting polynomials of states (B, T, D)."""
     flat = states.flatten(0, 1)
     scaled = (flat - flat.mean(0)) / flat.std(0).clamp(min=1e-300)
     features, products = [torch.ones_like(flat[:, :1])], torch.ones_like(flat[:, :1])
-    for _ in range(DEGREE):  # all products, those that occur twice as well: a least norm does not mind
+    for _ in range(DEGREE):  # all products, including duplicates: a minimum-norm solution allows them
         products = (products.unsqueeze(-1) * scaled.unsqueeze(-2)).flatten(1)
         if sum(part.shape[1] for part in features) + products.shape[1] > FEATURES:
             break

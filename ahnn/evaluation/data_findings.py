@@ -1,4 +1,4 @@
-"""What a doctor of data has found, as a table of 80 columns and as pictures."""
+"""Findings of the data doctor, as a table of 80 columns and as figures."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from ahnn.progress import track
 
 LEVELS = ("fault", "warning", "note")
 SHOWN = 5
-"""Findings of a kind that the table lists; the others are counted."""
+"""Maximum number of findings of a kind listed in the table; the others are counted."""
 CURVES = 6
-"""Trajectories of a file that a picture shows."""
+"""Maximum number of trajectories of a file in a figure."""
 LOOKS = tuple(
     {"color": color, "ls": ls, "lw": 1.0}
     for ls in ("-", "--")
     for color in (style.BLUE, style.VERMILLION, style.GREEN)
 )
-"""Of the components."""
+"""Line styles of the components."""
 
 
 def checkup(found: Examined) -> RenderableType:
-    """Return the findings as a table, faults first, and a line that sums them up."""
+    """Format the findings as a table, faults first, with a summary line."""
     counts = counted(found.findings)
     samples = sum(len(part.times) for content in found.contents for part in content.tracks)
     files = {finding.file for finding in found.findings} | {c.tracks[0].file for c in found.contents}
@@ -46,7 +46,7 @@ def checkup(found: Examined) -> RenderableType:
 
 
 def listed(findings: list[Finding]) -> RenderableType:
-    """Return findings as a table of 80 columns, faults first."""
+    """Format findings as a table of 80 columns, faults first."""
     table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
     for name, width in (("", 7), ("file", 12), ("row", 6), ("column", 6), ("what", 24), ("what to do", 20)):
         table.add_column(name, width=width, overflow="fold", justify="right" if name == "row" else "left")
@@ -58,13 +58,13 @@ def listed(findings: list[Finding]) -> RenderableType:
 
 
 def counted(findings: list[Finding]) -> str:
-    """Return how many findings there are of each level."""
+    """Format the number of findings of each level."""
     counts = ((level, sum(one.level == level for one in findings)) for level in LEVELS)
     return ", ".join(f"{count} {level}{'s' * (count != 1)}" for level, count in counts)
 
 
 def columns(content: Content) -> str:
-    """Return what each column of a table was taken for; "" for formats that say it."""
+    """Format the interpretation of each table column; "" for self-describing formats."""
     roles: dict[str, list[str]] = {}
     for name, role, unit in content.columns:
         roles.setdefault(role, []).append(f"{name} [{unit}]" if unit else name)
@@ -73,7 +73,7 @@ def columns(content: Content) -> str:
 
 
 def shortened(findings: list[Finding]) -> Iterator[tuple[str, str, str, str, str]]:
-    """Yield the cells of findings, of those that are alike the first ones and how many more there are."""
+    """Yield the table cells of findings, abbreviating similar ones by a count."""
     kinds: dict[tuple[str, str, str], list[Finding]] = {}
     for one in findings:
         kinds.setdefault((one.file, one.column, one.remedy), []).append(one)
@@ -86,10 +86,10 @@ def shortened(findings: list[Finding]) -> Iterator[tuple[str, str, str, str, str
 
 
 def draw(found: Examined, folder: Path) -> None:
-    """Write a picture of each file into a folder.
+    """Write a figure of each file into a folder.
 
     Raises:
-        UserError: the folder holds other files of these names.
+        UserError: the folder contains other files of these names.
     """
     files = [content.tracks[0].file for content in found.contents]
     names = [Path(file).name for file in files]
@@ -103,7 +103,7 @@ def draw(found: Examined, folder: Path) -> None:
 
 
 def picture(content: Content, findings: list[Finding]) -> Figure:
-    """Draw positions with what was found, and velocities as stated beside the change of the positions."""
+    """Plot positions with findings, and stated velocities with those from position differences."""
     figure = style.canvas(8, 6 if content.rates else 3.2)
     panels = figure.subplots(2 if content.rates else 1, 1, sharex=True, squeeze=False)[:, 0]
     n, shown = len(content.positions), content.tracks[:CURVES]
@@ -133,7 +133,7 @@ def picture(content: Content, findings: list[Finding]) -> Figure:
 
 
 def mark(axes: Any, shown: Any, findings: list[Finding]) -> None:
-    """Draw a line at the time of each row that something was found in."""
+    """Draw a line at the time of each row with a finding."""
     for level, ls in (("fault", "-"), ("warning", ":")):
         rows = [one.row for one in findings if one.level == level and one.row]
         for time in np.unique(np.concatenate([part.times[np.isin(part.rows, rows)] for part in shown])):

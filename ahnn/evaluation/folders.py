@@ -1,4 +1,4 @@
-"""Where a later evaluation of a run is kept: beside the earlier ones, never over them."""
+"""Folders of later evaluations of a run, which never overwrite earlier ones."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from ahnn.files import claimed
 from ahnn.manifest import own_folder, require_folder
 
 NAME = re.compile(r"\w[\w.+=@-]{0,99}")
-"""Names that are one folder on any system, and no hidden one."""
+"""Portable folder names that are not hidden."""
 
 
 @contextmanager
 def evaluation_folder(run: Path, name: str | None = None) -> Iterator[Path]:
-    """Make the folder of a new evaluation, `run/evaluations/NAME`, and hold it for this process alone.
+    """Create the folder of a new evaluation, `run/evaluations/NAME`, and lock it for this process.
 
     Args:
-        run: the run folder.
-        name: of the evaluation; None takes date and time, such as `2026-05-04_13-59-07`.
+        run: run folder.
+        name: name of the evaluation; None for date and time, such as `2026-05-04_13-59-07`.
 
     Raises:
-        UserError: the name is no plain one, or taken; or the folder cannot be made.
+        UserError: the name is invalid or taken, or the folder cannot be created.
         Occupied: another process evaluates under this name.
     """
     parent = run / "evaluations"
@@ -45,12 +45,12 @@ def evaluation_folder(run: Path, name: str | None = None) -> Iterator[Path]:
         message = f"{parent}: expected a place for a new folder; received: {error.strerror}"
         raise UserError(message) from error
     with claimed(folder):
-        require_unfinished(folder)  # another process may have finished it since
+        require_unfinished(folder)  # another process may have finished it in the meantime
         yield folder
 
 
 def require_unfinished(folder: Path) -> None:
-    """Refuse the folder of a finished evaluation, and any that is somebody else's; raises UserError."""
+    """Raise UserError for the folder of a finished evaluation, or a foreign folder."""
     if folder.is_symlink() or (folder / FILE).exists():
         message = f"evaluation {folder.name}: expected a new name; received that of {folder}"
         raise UserError(message)
@@ -58,14 +58,14 @@ def require_unfinished(folder: Path) -> None:
 
 
 def _made(folder: Path) -> Path:
-    """Return the folder of this name, new or left without results by an evaluation that did not finish."""
+    """Return the folder of this name, new or left by an unfinished evaluation."""
     require_unfinished(folder)
     folder.mkdir(exist_ok=True)
     return folder
 
 
 def _dated(parent: Path) -> Path:
-    """Return a new folder named by date and time, numbered where several begin in one second."""
+    """Create a folder named by date and time, numbered if several start in one second."""
     now = f"{datetime.now():%Y-%m-%d_%H-%M-%S}"
     for number in count(1):
         folder = parent / (now if number == 1 else f"{now}_{number}")

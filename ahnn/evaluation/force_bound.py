@@ -1,7 +1,7 @@
-"""The Cramer-Rao bound of the true force: what measurements allow if constants and starts are unknown.
+"""Cramer-Rao bound of the true force model with unknown constants and initial states.
 
-Residuals r(theta, x_0) in standard deviations have the Fisher information J^T J. With the starts of all
-trajectories eliminated it is
+Residuals r(theta, x_0) in standard deviations have the Fisher information J^T J. With the initial states of
+all trajectories eliminated it is
 
     I = sum over trajectories of J_theta^T (1 - J_x J_x^+) J_theta,
 
@@ -29,24 +29,24 @@ from ahnn.systems.truth import varied_flow
 from ahnn.types import Space
 
 STEP = 1e-6
-"""Of central differences, as a fraction of a constant, or of the largest position or momentum of a start."""
+"""Step of central differences, relative to a constant, or to the largest position or momentum of a start."""
 TRAJECTORIES = 64
-"""So many stand for all of a split, evenly chosen."""
+"""Maximum number of evenly chosen trajectories that represent a split."""
 UNSEEN = 1e-9
-"""Singular values of a start's derivatives below this fraction of the largest are none."""
+"""Relative singular value of a start's derivatives below which it is treated as zero."""
 
 Prediction = Callable[[Tensor, Tensor], Tensor]
-"""(constants (R, P), starts (R, D)) -> what follows from each pair, (R, ...)."""
+"""(constants (R, P), starts (R, D)) -> results for each pair, (R, ...)."""
 
 
 class ForceBound(NamedTuple):
-    """The smallest errors that somebody can have who knows the form of the true force.
+    """Smallest errors attainable if the form of the true force is known.
 
     Attributes:
-        constants: names of what is unknown beside the starts.
-        deviations: of the constants, as fractions of their values.
+        constants: names of the unknowns besides the initial states.
+        deviations: standard deviations of the constants, as fractions of their values.
         bound: rms norms of the errors of positions and velocities of rollouts from the true start.
-        efficiency: rms norms of the model's errors in units of that.
+        efficiency: rms norms of the model's errors in units of the bound.
     """
 
     constants: tuple[str, ...]
@@ -69,9 +69,9 @@ class ForceBound(NamedTuple):
 
 
 def unknown_constants(system: System, dynamics: object) -> tuple[str, ...]:
-    """Return the constants that a system declares, and its mass where the dynamics learn the velocities too.
+    """Return the declared constants of a system, and its mass if velocities are also learned.
 
-    A constant of 0 has no effect whose size could be unknown.
+    Constants of value 0 have no effect and are omitted.
     """
     field: Any = getattr(dynamics, "field", None)
     mass = () if field is not None and knows_velocities(field) else ("mass",)
@@ -81,13 +81,13 @@ def unknown_constants(system: System, dynamics: object) -> tuple[str, ...]:
 
 @torch.no_grad()
 def force_bound(case: Case, prediction: Tensor) -> ForceBound | None:
-    """Return the bound beside the errors of a prediction (B, T, D) of the test trajectories.
+    """Compare the bound with the errors of a prediction (B, T, D) of the test trajectories.
 
-    Outliers count as measurements like all others, so that with some the bound is a little too low.
+    Outliers are treated as normal measurements, which makes the bound slightly too low.
 
     Returns:
-        None where the true force, its constants or the measurements of the training are not known, or where
-        these do not determine the constants.
+        None if the true force, its constants or the training measurements are unknown, or if the constants
+        are not determined.
     """
     system, seen = case.truth, case.learned_from
     names = () if system is None else unknown_constants(system, case.flow)
@@ -114,12 +114,12 @@ def information_of(system: System, names: Sequence[str], start: Tensor, segment:
     """Return the information (P, P) of measurements about the logarithms of a system's constants.
 
     Args:
-        system: whose flow the measurements are of.
-        names: of its P constants.
+        system: system that was measured.
+        names: names of its P constants.
         start: (B, D) true states at the first times of the segment.
-        segment: the measurements; their values matter by what is missing alone.
+        segment: measurements; only the pattern of missing values is used.
     """
-    gaps = segment.times.diff(dim=1).nan_to_num(0.0)  # beyond its end a trajectory has no times
+    gaps = segment.times.diff(dim=1).nan_to_num(0.0)  # no times exist beyond the end of a trajectory
 
     def residuals(constants: Tensor, x: Tensor) -> Tensor:
         copies = len(x) // len(start)
@@ -132,11 +132,11 @@ def information_of(system: System, names: Sequence[str], start: Tensor, segment:
 
 
 def information(of_constants: Tensor, of_start: Tensor) -> Tensor:
-    """Return the information (P, P) of P constants with the starts of B trajectories eliminated.
+    """Return the information (P, P) of P constants with the initial states of B trajectories eliminated.
 
     Args:
         of_constants: derivatives of residuals in standard deviations, (B, R, P).
-        of_start: with respect to the start, (B, R, D).
+        of_start: derivatives with respect to the initial state, (B, R, D).
     """
     basis, sizes, _ = torch.linalg.svd(of_start, full_matrices=False)
     basis = basis * (sizes > UNSEEN * sizes[:, :1]).unsqueeze(1)
@@ -145,7 +145,7 @@ def information(of_constants: Tensor, of_start: Tensor) -> Tensor:
 
 
 def rollout_deviations(case: Case, system: System, names: Sequence[str], covariance: Tensor) -> Tensor:
-    """Return standard deviations (B', T, D) of rollouts from true starts; NaN where the truth is absent."""
+    """Return standard deviations (B', T, D) of rollouts from true starts; NaN where the truth is missing."""
     states = evenly(case.test.states)
     start, samples = states[:, 0], states.shape[1]
     gaps = torch.as_tensor(case.dt, dtype=torch.float64)
@@ -164,13 +164,13 @@ def derivatives(
 ) -> tuple[Tensor, Tensor]:
     """Return central differences with respect to log constants (B, ..., P), and to starts (B, ..., D).
 
-    Starts are in units of their largest position and momentum. All differences are formed at once.
+    Starts are scaled by their largest position and momentum. All differences are formed in one batch.
 
     Args:
-        predict: of which function.
-        constants: (P,).
-        start: (B, D).
-        of_starts: whether those of the starts are wanted; if not they have no column.
+        predict: function to differentiate.
+        constants: (P,) values.
+        start: (B, D) initial states.
+        of_starts: whether to include derivatives with respect to starts; otherwise they have no columns.
     """
     count, size, width = len(start), len(constants), start.shape[1] if of_starts else 0
     blocks = start.unflatten(-1, (2, -1)).abs().amax((0, 2), keepdim=True)
@@ -186,14 +186,14 @@ def derivatives(
 
 
 def pad_to(moves: Tensor, width: int) -> Tensor:
-    """Return moves of so many columns, zeros where there are none."""
+    """Pad displacements to a number of columns with zeros."""
     return torch.nn.functional.pad(moves, (0, width - moves.shape[1]))
 
 
 def varied_rollout(
     system: System, names: Sequence[str], constants: Tensor, start: Tensor, gaps: Tensor
 ) -> Tensor:
-    """Return the states (R, N + 1, D) from starts (R, D) over steps (R, N), constants (R, P) for each row."""
+    """Propagate starts (R, D) over steps (R, N) with constants (R, P) per row; return (R, N + 1, D)."""
     flow = varied_flow(system, dict(zip(names, constants.unsqueeze(-1).unbind(1), strict=True)))
     return rollout(flow, start, gaps, gaps.shape[1] + 1)
 
@@ -204,10 +204,10 @@ def constants_of(system: System, names: Sequence[str]) -> Tensor:
 
 
 def chosen(count: int) -> Tensor:
-    """Return which of so many trajectories stand for all."""
+    """Return the indices of representative trajectories."""
     return torch.linspace(0, count - 1, min(count, TRAJECTORIES)).round().long()
 
 
 def evenly(values: Tensor) -> Tensor:
-    """Return the rows of some trajectories that stand for all."""
+    """Return the rows of representative trajectories."""
     return values[chosen(len(values))]

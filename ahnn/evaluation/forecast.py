@@ -1,7 +1,7 @@
-"""What bands of forecasts hold of measurements: a check that needs no truth.
+"""Coverage of forecast bands by measurements: a calibration check without truth.
 
-A start is fitted to the first half of each unseen trajectory and predicts the second, as somebody would who
-knows no more. Where the truth is known, true states are held against the bands, too.
+An initial state is fitted to the first half of each unseen trajectory and predicts the second half. If the
+truth is known, true states are also compared with the bands.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from ahnn.types import Trajectories
 from ahnn.uncertainty import forecast_columns
 
 DRAWS, MIDDLE = 200, 0.95
-"""Draws of all causes that tell what right bands hold, and the middle fraction of these that is told."""
+"""Draws of all causes for the coverage of calibrated bands, and the central fraction reported."""
 
 
 class Forecast(NamedTuple):
-    """What the bands of forecasts hold.
+    """Coverage of forecast bands.
 
     Attributes:
         coverage: shares of the measured numbers ahead within 1, 2 and 3 standard deviations.
@@ -88,15 +88,15 @@ def forecast(
     robust: RobustName = "none",
     truth: Trajectories | None = None,
 ) -> Forecast | None:
-    """Return what bands hold of the second halves of measurements, None where no first half can be fitted.
+    """Evaluate forecast bands on second halves of measurements; None if no first half can be fitted.
 
     Args:
-        dynamics: with a field, float64.
-        segment: measurements that the dynamics were not trained on.
+        dynamics: float64 dynamics with a field.
+        segment: measurements not used in training.
         spread: L, shape (P, R); L L^T is the covariance of the parameters.
-        robust: the loss of the training. One that weighs outliers down leaves them out here: in the first
-            half what is far from its robust fit, in the second what is far from the forecast.
-        truth: of the same trajectories, at these times and perhaps others.
+        robust: robust loss of the training. With such a loss outliers are excluded here: in the first half
+            values far from the robust fit, in the second half values far from the forecast.
+        truth: true states of the trajectories, at these and possibly other times.
     """
     early = first_halves(segment)
     first = part_fitted(dynamics, segment, early, robust)
@@ -138,15 +138,15 @@ def forecast(
 
 
 class Variances(NamedTuple):
-    """How far off forecasts are.
+    """Variances of forecasts.
 
     Attributes:
-        states: variances, (B, K + 1, D).
-        parameters: what the parameters have of them.
-        values: variances of what is measured, (B, K + 1, M), in those of the noise and without it; 0 where
-            nothing was measured.
-        within: how many states ahead are within 1, 2 and 3 standard deviations in each of some draws of noise
-            and parameters, (3, DRAWS).
+        states: variances of states, (B, K + 1, D).
+        parameters: contribution of the parameters to these variances.
+        values: variances of measured values, (B, K + 1, M), in units of the noise variance and without noise;
+            0 where missing.
+        within: number of predicted states within 1, 2 and 3 standard deviations in each draw of noise and
+            parameters, (3, DRAWS).
     """
 
     states: Tensor
@@ -158,13 +158,13 @@ class Variances(NamedTuple):
     def of(
         cls, causes: Iterable[tuple[Tensor, Tensor]], of_state: Tensor, there: Tensor, columns: int
     ) -> Variances:
-        """Return what the columns of `forecast_columns` make.
+        """Compute variances from the columns of `forecast_columns`.
 
         Args:
-            causes: the columns, those of so many parameters.
+            causes: columns for the given number of parameters.
             of_state: derivatives of measurements, (B, K + 1, M, D).
-            there: which states count in `within`, (B, K + 1, D).
-            columns: of the parameters.
+            there: mask of states counted in `within`, (B, K + 1, D).
+            columns: number of parameter columns.
         """
         parts, within, first = [], torch.zeros(len(SIGMAS), DRAWS, dtype=torch.int64), 0
         draws = imagined(columns + there[:, 0].numel())
@@ -204,7 +204,7 @@ def middle(shares: Tensor) -> tuple[tuple[float, float], ...]:
 
 
 def right_bands(shares: tuple[float, ...], right: tuple[tuple[float, float], ...]) -> str:
-    """Return what right bands hold and what follows, as text; where halves would do, nothing follows."""
+    """Format the coverage of calibrated bands and the conclusion; where halves would do, nothing follows."""
     if right[1][0] <= NORMAL[0]:
         return "too few independent directions to tell"
     ends = ", ".join(f"{100 * low:.3g} to {100 * high:.3g}" for low, high in right)
@@ -214,20 +214,20 @@ def right_bands(shares: tuple[float, ...], right: tuple[tuple[float, float], ...
 
 
 def first_halves(segment: Segment) -> Tensor:
-    """Return which times belong to the first half of what was measured, (B, K + 1) bool."""
+    """Return the mask of times in the first half of the measurements, (B, K + 1) bool."""
     there = ~segment.values.isnan().all(-1)
     return there.cumsum(1) <= there.sum(1, keepdim=True) / 2
 
 
 def part_fitted(dynamics: Dynamics, segment: Segment, early: Tensor, robust: RobustName) -> Segment:
-    """Return what was measured early, (B, K + 1), up to the last of these times; outliers are left out."""
+    """Return early measurements, (B, K + 1), up to the last of these times, without outliers."""
     last = max(int(early.any(0).sum()) - 1, 1)
     part = segment._replace(values=segment.values.masked_fill(~early.unsqueeze(-1), torch.nan)).first(last)
     return part if robust == "none" else without_outliers(dynamics, part, robust)
 
 
 def at(truth: Trajectories, rows: Tensor, times: Tensor) -> Tensor:
-    """Return the states (b, K + 1, D) of some trajectories at times (b, K + 1), NaN where they have none."""
+    """Return the states (b, K + 1, D) of trajectories at times (b, K + 1), NaN where missing."""
     known = truth.times[rows].nan_to_num(nan=torch.inf)
     near = 1e-6 * float(truth.times.diff(dim=1).nanmean())
     index = torch.searchsorted(known, times - near).clamp(max=known.shape[1] - 1)
@@ -237,5 +237,5 @@ def at(truth: Trajectories, rows: Tensor, times: Tensor) -> Tensor:
 
 
 def shares(off: Tensor) -> tuple[float, ...]:
-    """Return the shares within 1, 2 and 3 of errors in standard deviations; a NaN is outside."""
+    """Return the fractions of normalised errors within 1, 2 and 3; NaN is outside."""
     return tuple(float((off.abs() <= k).double().mean()) for k in SIGMAS)

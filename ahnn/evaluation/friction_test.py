@@ -1,4 +1,4 @@
-"""The friction that measurements ask for beside a model that has none."""
+"""Test for friction in measurements that a model lacks."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from ahnn.shooting.path_sensitivities import steps_between
 from ahnn.shooting.robust import ROBUST
 
 INTERVALS = 12
-"""Of the segments that friction is looked for in, so short that wrong dynamics still follow them."""
+"""Number of intervals per segment, short enough for inaccurate dynamics to fit."""
 MOST = 0.3
-"""Fraction of the excess of chi-square from which it is friction: other errors look a little like it."""
+"""Minimum fraction of excess chi-square explained by friction, since other errors resemble it slightly."""
 SMALL = 0.05
-"""Decay over such a segment by which chi-square is compared."""
+"""Decay over such a segment used in the comparison of chi-square."""
 
 
 class FrictionTest(NamedTuple):
-    """The friction that measurements ask for beside a model.
+    """Additional friction indicated by measurements.
 
     Attributes:
-        rate: at which momenta decay beyond the model, per unit of time.
+        rate: decay rate of momenta in addition to the model, per unit of time.
         error: standard error of the rate.
-        whole: the decay over a trajectory, as a fraction.
-        explains: fraction of what chi-square has beyond the noise that this friction explains.
+        whole: relative decay over a trajectory.
+        explains: fraction of the excess chi-square explained by this friction.
     """
 
     rate: float
@@ -44,12 +44,12 @@ class FrictionTest(NamedTuple):
 
     @property
     def found(self) -> bool:
-        """Whether momenta decay, or grow, beyond the model, and that is most of what it misses."""
+        """Whether additional decay or growth of momenta is significant and explains most of the excess."""
         sure = abs(self.rate) > SURE * self.error and abs(self.whole) > NOTABLE
         return sure and self.explains > MOST
 
     def sentence(self, unit: str) -> str:
-        """Return the finding in words; "" where there is none."""
+        """Return the finding in words; "" without additional friction."""
         if not self.found:
             return ""
         per = "in a unit of time" if unit == "1" else f"per {unit}"
@@ -61,11 +61,10 @@ class FrictionTest(NamedTuple):
 
 
 def friction_test(flow: Any, measured: Segment) -> FrictionTest | None:
-    """Return the friction that measurements ask for beside a flow; None where that says nothing.
+    """Estimate the additional friction of measurements relative to a flow; None if inconclusive.
 
-    Over short segments, whose starts are fitted each time, chi-square is compared for momenta that decay by
-    little, by nothing and grow by little: a step of Newton's method, with the scatter of the segments as its
-    error.
+    On short segments with refitted initial states, chi-square is compared for slightly decaying, unchanged
+    and slightly growing momenta: one step of Newton's method, with the scatter of segments as its error.
     """
     if clock_of(flow) or not conserves(flow):
         return None
@@ -96,7 +95,7 @@ def friction_test(flow: Any, measured: Segment) -> FrictionTest | None:
 
 
 def decaying(flow: Any, rate: float) -> Trial:
-    """Return a flow whose momenta decay at a rate after each step, to be held against measurements."""
+    """Return a flow whose momenta decay at a given rate after each step."""
 
     def increment(x: Tensor, dt: Tensor) -> Tensor:
         q, p = flow(x, dt).chunk(2, dim=-1)
@@ -107,7 +106,7 @@ def decaying(flow: Any, rate: float) -> Trial:
 
 
 def shorter(segment: Segment, intervals: int) -> Segment:
-    """Return segments of so many intervals each, one after the other; what is left over is left out."""
+    """Split segments into consecutive segments of given length; a remainder is omitted."""
     samples = intervals + 1
     count = segment.values.shape[1] // samples
     if count == 0:

@@ -1,4 +1,4 @@
-"""What can be said of learned dynamics without truth: do they explain measurements to within their noise?"""
+"""Goodness of fit: whether learned dynamics explain measurements to within their noise."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from ahnn.shooting.path_sensitivities import Steps, steps_between
 from ahnn.shooting.robust import ROBUST, RobustName
 
 NORMAL95 = 1.959963984540054
-"""Standard deviations within which a normal number lies with 95 %."""
+"""Standard deviations of the central 95 % of a normal distribution."""
 OUTLYING = 6.0
-"""Standard deviations beyond which a number is an outlier, where the training weighed these down."""
+"""Standard deviations beyond which a value is an outlier, if training used a robust loss."""
 
 
 class Explained(NamedTuple):
-    """How well paths from fitted starts explain measurements.
+    """Goodness of fit of paths from fitted initial states.
 
     Attributes:
-        chi_square: squared residuals per degree of freedom, in standard deviations; 1 is the noise itself.
-        band: within which it lies with 95 % if nothing but the noise is left.
-        correlation: of residuals with those that follow; 0 if nothing but the noise is left.
-        correlation_band: within which that lies with 95 %, on either side of 0.
-        lost: trajectories that no start explains, which do not count in the others.
-        trajectories: how many were tried.
-        outliers: share of the measured numbers that were taken for outliers and left out.
-        halved_steps: chi-square of the same field in steps of half the length; None where there is no field.
+        chi_square: squared residuals per degree of freedom, in standard deviations; 1 for pure noise.
+        band: 95 % interval for pure noise.
+        correlation: serial correlation of residuals; 0 for pure noise.
+        correlation_band: half-width of its 95 % interval about 0.
+        lost: number of trajectories that cannot be fitted, excluded from the others.
+        trajectories: number of trajectories tried.
+        outliers: fraction of measured values excluded as outliers.
+        halved_steps: chi-square of the field with halved steps; None without a field.
     """
 
     chi_square: float
@@ -50,7 +50,7 @@ class Explained(NamedTuple):
 
     @property
     def consistent(self) -> bool:
-        """Whether nothing but the noise is left."""
+        """Whether residuals are consistent with pure noise."""
         within = self.band[0] <= self.chi_square <= self.band[1]
         return within and abs(self.correlation) <= self.correlation_band and not self.lost
 
@@ -80,7 +80,7 @@ class Explained(NamedTuple):
 
 
 def trial_of(dynamics: nn.Module, robust: RobustName = "none") -> Trial:
-    """Return dynamics, float64 with a method `increment`, to be held against measurements."""
+    """Return float64 dynamics with a method `increment`, for comparison with measurements."""
     increment = cast(Any, dynamics).increment
     known = isinstance(dynamics, Dynamics)
     jacobians = own_jacobians(dynamics) if known else partial(step_jacobians, increment)
@@ -89,12 +89,12 @@ def trial_of(dynamics: nn.Module, robust: RobustName = "none") -> Trial:
 
 @torch.no_grad()
 def fit_to(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") -> tuple[Fitted, Steps]:
-    """Return the starts from which dynamics meet measurements best, and the steps of the paths from there.
+    """Fit initial states to measurements; return them and the steps of their paths.
 
     Args:
-        dynamics: float64, with a method `increment`.
-        segment: measurements that the dynamics were not trained on.
-        robust: the loss of single residuals.
+        dynamics: float64 dynamics with a method `increment`.
+        segment: measurements not used in training.
+        robust: robust loss of single residuals.
     """
     steps = steps_between(segment.times, segment.instrument.longest)
     return fit_starts(trial_of(dynamics, robust), guess(segment), segment, steps), steps
@@ -102,7 +102,7 @@ def fit_to(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") -
 
 @torch.no_grad()
 def without_outliers(dynamics: nn.Module, segment: Segment, robust: RobustName) -> Segment:
-    """Return measurements without those that are far from the path that a robust loss fits to all."""
+    """Return measurements without those far from a robustly fitted path."""
     fitted, steps = fit_to(dynamics, segment, robust)
     far = segment.residuals(fitted.states[:, steps.ends]).abs() > OUTLYING
     return segment._replace(values=segment.values.masked_fill(far, torch.nan))
@@ -110,12 +110,12 @@ def without_outliers(dynamics: nn.Module, segment: Segment, robust: RobustName) 
 
 @torch.no_grad()
 def explain(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") -> Explained:
-    """Return how well dynamics explain measurements, each trajectory from the start that fits it best.
+    """Compute the goodness of fit, with each trajectory starting from its best initial state.
 
     Args:
-        dynamics: float64, with a method `increment`.
-        segment: measurements that the dynamics were not trained on.
-        robust: the loss of the training; one that weighs outliers down leaves them out here.
+        dynamics: float64 dynamics with a method `increment`.
+        segment: measurements not used in training.
+        robust: robust loss of the training, with which outliers are excluded here.
     """
     measured = int(segment.measured.sum())
     if robust != "none":
@@ -132,7 +132,7 @@ def explain(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") 
         halved = float(again.sums.sum()) / total
     residuals = part.white_residuals(fitted.states[met][:, steps.ends])
     correlation, pairs = serial(residuals.masked_fill(part.values.isnan(), torch.nan))
-    # Residuals of a fit correlate by about minus the share of the numbers that it has spent on its unknowns.
+    # Residuals of a fit have a correlation of about minus the fraction of values spent on unknowns.
     spent = 1 - total / float(part.measured.sum()) if total else 0.0
     return Explained(
         chi_square=chi,
@@ -147,9 +147,9 @@ def explain(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") 
 
 
 def serial(residuals: Tensor, apart: int = 1) -> tuple[float, int]:
-    """Return the correlation of residuals (B, K + 1, M) so many times apart, and of how many pairs.
+    """Return the correlation of residuals (B, K + 1, M) at a time lag, and the number of pairs.
 
-    A NaN is no residual.
+    NaN values are ignored.
     """
     products = residuals[:, apart:] * residuals[:, :-apart]
     return float(products.nanmean() / residuals.square().nanmean()), int(products.isfinite().sum())

@@ -42,7 +42,7 @@ class DirectionTest(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """What the scatter says of the bands: right, too wide, too narrow, or nothing."""
+        """Return a verdict on the bands from the scatter: right, too wide, too narrow, or undecided."""
         low, high = self.right
         if self.scatter > high:
             return "too narrow"
@@ -64,7 +64,7 @@ class DirectionTest(NamedTuple):
 
 
 def direction_test(parts: Iterable[tuple[Tensor, Tensor]]) -> DirectionTest:
-    """Return the test of errors (N,) beside sensitivities (N, R) in the same unit, given in parts."""
+    """Test errors (N,) against sensitivities (N, R) in the same unit, given in parts."""
     matrix, pull = torch.zeros(()), torch.zeros(())
     for errors, moved in parts:
         sd = moved.norm(dim=-1, keepdim=True)

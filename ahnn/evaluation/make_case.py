@@ -1,4 +1,4 @@
-"""The case of learned dynamics on the data that they belong to."""
+"""Construction of the evaluation case of learned dynamics and their data."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ def make_case(
     noise: Any = None,
     remark: str = "",
 ) -> Case:
-    """Return the case of learned dynamics on the test trajectories of its data.
+    """Build the case of learned dynamics on the test trajectories of their data.
 
     Args:
-        dynamics: what was learned, in float64 on the CPU.
-        data: the splits that it was trained, validated and is tested on.
+        dynamics: learned dynamics, in float64 on the CPU.
+        data: data with training, validation and test splits.
         label: name in tables.
-        seed: of the initial errors.
-        folder: where the results are written.
-        uncertainty: of the parameters of the dynamics, if it is known.
-        domain: where the dynamics were learned, if that is known.
-        robust: the loss of single residuals that they were learned with.
-        noise: of the measurements, where the training estimated any, as it stands beside the weights.
-        remark: on the data, for the table.
+        seed: seed of the initial errors.
+        folder: output folder.
+        uncertainty: covariance of the parameters, if available.
+        domain: representative training states, if available.
+        robust: robust loss of single residuals in the training.
+        noise: measurement noise from the metadata of the weights, if the training estimated it.
+        remark: remark on the data, for the table.
     """
     source, truth = data.source, data.source.truth
     estimate = None if noise is None or data.sensor is None else read("noise", NoiseEstimate, noise)
@@ -88,13 +88,13 @@ def learned_from(data: SplitData, noise: NoiseEstimate | None) -> Segment:
 
 
 def as_test(measured: Segment) -> Trajectories:
-    """Return measurements of positions or states as test trajectories, NaN in what is not measured."""
+    """Return measurements of positions or states as test trajectories, NaN where unmeasured."""
     missing = 2 * measured.instrument.dof - measured.values.shape[-1]
     return Trajectories(pad(measured.values, (0, missing), value=torch.nan), measured.times)
 
 
 def measured_test(data: SplitData, noise: NoiseEstimate | None) -> Segment | None:
-    """Return the measurements of whole test trajectories; None where states are known."""
+    """Return the measurements of whole test trajectories; None if states are known."""
     if data.sensor is None:
         return None
     return whole(data.measured("test"), instrument_of(data, noise))

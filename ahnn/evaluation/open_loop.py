@@ -1,4 +1,4 @@
-"""Prediction without measurements, beside what perfect knowledge would score in the same setting."""
+"""Open-loop prediction without measurements, with the floors of perfect knowledge."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from ahnn.types import Flow, TimeStep
 
 
 class Floor(NamedTuple):
-    """Perfect knowledge in the place of a model.
+    """Floor: perfect knowledge in place of a model.
 
     Attributes:
         who: identity of its row.
-        flow: the exact flow, or the exact field through an integrator.
+        flow: the exact flow, or the exact field with an integrator.
     """
 
     who: Who
@@ -29,14 +29,14 @@ class Floor(NamedTuple):
 
 
 class Integrated(NamedTuple):
-    """The flow of the true field through an integrator."""
+    """Flow of the true field with an integrator."""
 
     system: System
     integrator: Integrator
 
     @property
     def clock(self) -> int:
-        """Clock coordinates of its states."""
+        """Number of clock coordinates of its states."""
         return self.system.clock
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
@@ -45,11 +45,11 @@ class Integrated(NamedTuple):
 
 
 def floors(case: Case) -> dict[Start, Floor]:
-    """Return the floor of each start of a case; there is none where the equations are not known.
+    """Return the floor of each start of a case; empty without known equations.
 
-    From the true start it is the exact field through the model's integrator, rk4 for a map: what the
-    integrator costs. From the perturbed start it is the exact flow: what the perturbation costs, and no model
-    can be blamed for less.
+    From the true start the floor is the exact field with the model's integrator, rk4 for a map: the error of
+    the integrator. From the perturbed start it is the exact flow: the error of the perturbation, unavoidable
+    for any model.
     """
     if case.truth is None:
         return {}
@@ -64,10 +64,10 @@ def floors(case: Case) -> dict[Start, Floor]:
 
 
 def open_loop(case: Case) -> Findings:
-    """Roll the model out from every start of a case, and the floors beside it."""
+    """Roll out the model and the floors from every start of a case."""
     findings = Findings()
     samples, starts, there = case.test.states.shape[1], case.starts(), floors(case)
-    # All starts in one batch: a step of a small model costs the same for twice as many states.
+    # All starts in one batch: for small models a step costs the same for twice as many states.
     together = torch.cat(list(starts.values()))
     text = described(Who(MODEL, case.start), case.label)
     dt = case.dt.repeat(len(starts), 1) if isinstance(case.dt, Tensor) else case.dt
@@ -91,13 +91,13 @@ def open_loop(case: Case) -> Findings:
 
 
 def _lost(case: Case, prediction: Tensor) -> int:
-    """Return how many predictions (B, T, D) from known starts have an error that is no number."""
+    """Return the number of predictions (B, T, D) from known starts with non-finite errors."""
     wrong = ~prediction.square().sum(-1).isfinite() & case.test.times.isfinite()
     return int((wrong.any(1) & ~wrong[:, 0]).sum())
 
 
 def _drift(energy: Callable[[Tensor], Tensor] | None, prediction: Tensor) -> dict[str, float]:
-    """Return the rms over trajectories and times of H_theta(x^_k) - H_theta(x^_0), if there is an H_theta."""
+    """Return the rms over trajectories and times of H_theta(x^_k) - H_theta(x^_0); None without H_theta."""
     if energy is None:
         return {}
     values = energy(prediction)

@@ -1,4 +1,4 @@
-"""What an evaluation was made with: versions, command, machine, date."""
+"""Provenance of an evaluation: versions, command, machine, date."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from typing import Any
 import torch
 
 PASSWORD = re.compile(r"://[^@/\s]*@")
-"""User and password in an address, such as that of a database."""
+"""Pattern of user and password in an address, such as that of a database."""
 
 
 def provenance() -> dict[str, Any]:
-    """Return what made the results, for metrics.json; `commit` is None outside a checkout of `ahnn`."""
-    import ahnn  # the package may be half imported when this module is
+    """Return the provenance of results, for metrics.json; `commit` is None outside a checkout of `ahnn`."""
+    import ahnn  # the package may be partially imported when this module is loaded
 
     lightning = sys.modules.get("lightning")
     return {
@@ -36,10 +36,10 @@ def provenance() -> dict[str, Any]:
 
 
 def commit(root: Path) -> str | None:
-    """Return the commit of a checkout, with `-dirty` where files differ from it; None for another folder."""
+    """Return the commit of a checkout, with `-dirty` for modified files; None for other folders."""
     if not (root / ".git").exists():
         return None
-    # `git describe --dirty` locks the index, and killed with this process it would leave the lock.
+    # `git describe --dirty` locks the index; if killed with this process it would leave the lock behind.
     status = ["git", "-C", str(root), "--no-optional-locks", "status", "--porcelain=v2", "--branch", "-uno"]
     try:
         done = subprocess.run(status, capture_output=True, text=True, timeout=5, check=True)

@@ -1,4 +1,4 @@
-"""The end of a run: a case is evaluated, and its results go to every sink."""
+"""Evaluation of a case at the end of a run, with output to all sinks."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ def report(
     figures: bool = True,
     detail: bool = False,
 ) -> Results:
-    """Evaluate a case, write the files into its folder, print the table, and return the results.
+    """Evaluate a case, write files to its folder, print the table, and return the results.
 
     Args:
-        case: what to evaluate, and the folder for the results.
-        plugins: evaluations to run after the open-loop one, by name.
-        training: numbers on the training: `seed`, `window`, `val_loss`, `seconds`, `steps`, `parameters`, ...
-        more: sinks beside table and files, such as a `TensorBoardSink`.
+        case: case to evaluate, with the output folder.
+        plugins: further evaluations by name.
+        training: training information: `seed`, `window`, `val_loss`, `seconds`, `steps`, `parameters`, ...
+        more: additional sinks, such as a `TensorBoardSink`.
         predictions: whether to keep the predicted trajectories.
-        figures: whether to draw; the trials of a search are told apart by numbers.
-        detail: whether the table ends with pooled errors and those of each component.
+        figures: whether to draw figures, which trials of a search do not need.
+        detail: whether the table includes pooled and component errors.
     """
     findings = evaluate(case, plugins, figures=figures)
     results = make_results(case, findings, training, provenance())
     files = file_sinks(case.folder, predictions=predictions)
-    for sink in (*files, *more, TableSink(detail)):  # a terminal that has gone takes no file along
+    for sink in (*files, *more, TableSink(detail)):  # a closed terminal must not prevent file output
         sink(results, findings)
     log.info("results: %s", case.folder)
     return results
@@ -49,7 +49,7 @@ def report(
 def make_results(
     case: Case, findings: Findings, training: Mapping[str, Any], about: Mapping[str, Any]
 ) -> Results:
-    """Return the results of an evaluation."""
+    """Build the results of an evaluation."""
     return Results(
         label=case.label,
         assumes=case.assumes,
@@ -62,5 +62,5 @@ def make_results(
 
 
 def file_sinks(folder: Path, *, predictions: bool = True) -> tuple[Sink, ...]:
-    """Return the sinks that write into a folder; what an earlier evaluation left there is replaced."""
+    """Return the sinks that write into a folder, replacing output of earlier evaluations."""
     return MetricsSink(folder), PredictionSink(folder, predictions), FigureSink(folder)

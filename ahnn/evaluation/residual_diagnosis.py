@@ -1,4 +1,4 @@
-"""What is wrong where more than white noise is left: its size, bias, colour, outliers, or the dynamics."""
+"""Diagnosis of residuals beyond white noise: noise level, bias, colour, outliers, or dynamics."""
 
 from __future__ import annotations
 
@@ -14,26 +14,27 @@ from ahnn.numbers import in_percent
 from ahnn.shooting.robust import RobustName
 
 SURE = 4.0
-"""Standard errors beyond which a finding is none of chance."""
+"""Standard errors beyond which a finding is significant."""
 EXPLAINED = 0.05
-"""Fraction of the residuals' variance that the state explains, from which the dynamics are wrong; twice that
-where neighbours do not correlate, as a quarter of a period apart."""
+"""Fraction of residual variance explained by the state that indicates wrong dynamics; doubled if neighbours
+are uncorrelated, for example a quarter of a period apart.
+"""
 COLOURED, BIASED = 0.15, 0.2
-"""Correlation of neighbours, and constant part in standard deviations, that are worth a word."""
+"""Minimum reported neighbour correlation, and constant offset in standard deviations."""
 OFF = 1.4
-"""Factor by which data.noise is off that is worth a word: bands are then off by as much."""
+"""Minimum reported factor between data.noise and the actual noise: bands are off by the same factor."""
 FEW = 1e-3
-"""Fraction of outliers that is worth a word: of a thousand normal numbers 6e-5 are as far."""
+"""Minimum reported fraction of outliers; for normal values it is 6e-5."""
 
 
 @torch.no_grad()
 def remedy(dynamics: nn.Module, segment: Segment, robust: RobustName) -> str:
-    """Return what the residuals about robust paths say, and what to do, "" for nothing.
+    """Diagnose the residuals of robustly fitted paths, with a remedy; "" if none.
 
     Args:
-        dynamics: float64, with a method `increment`.
-        segment: measurements that the dynamics were not trained on.
-        robust: the loss of the training.
+        dynamics: float64 dynamics with a method `increment`.
+        segment: measurements not used in training.
+        robust: robust loss of the training.
     """
     segment = segment.rows(segment.measured > 2 * segment.instrument.dof + 2)
     if not len(segment.times):
@@ -62,13 +63,13 @@ def invisible(dynamics: nn.Module, segment: Segment, noise: NoiseEstimate | None
 
 
 def verdicts(found: ResidualTests, names: tuple[str, ...], interval: float, robust: RobustName) -> list[str]:
-    """Return what is wrong, in words.
+    """Return the diagnoses as text.
 
     Args:
-        found: for each of the M numbers.
-        names: of them.
+        found: test results for each of the M measured values.
+        names: names of the values.
         interval: typical time between two measurements.
-        robust: the loss of the training.
+        robust: robust loss of the training.
     """
     pairs = found.pairs.clamp(min=1)
     coloured = found.correlation > (SURE / pairs.sqrt()).clamp(min=COLOURED)
@@ -76,7 +77,7 @@ def verdicts(found: ResidualTests, names: tuple[str, ...], interval: float, robu
         share = in_percent(float(found.explained.clamp(min=0).max()))
         larger = _sizes(
             found.scale.clamp(max=1), names
-        )  # wrong dynamics leave more than the noise, never less
+        )  # wrong dynamics increase residuals beyond the noise, never decrease them
         return [
             *larger,
             f"{share} of what is left follows from the state: the model misses a part of the motion",
@@ -96,7 +97,7 @@ def _listed(entries: Iterable[tuple[str, float, bool]]) -> str:
 
 
 def _sizes(scales: Tensor, names: tuple[str, ...]) -> list[str]:
-    """Return for which numbers the stated noise is off, in one text or none."""
+    """Return a remark on values whose stated noise is wrong, if any."""
     off = [
         f"{max(scale, 1 / scale):.2g} times too {'small' if scale > 1 else 'large'} for {name}"
         for name, scale in zip(names, scales.tolist(), strict=True)
@@ -106,7 +107,7 @@ def _sizes(scales: Tensor, names: tuple[str, ...]) -> list[str]:
 
 
 def _colour(found: ResidualTests, names: tuple[str, ...], coloured: Tensor, interval: float) -> str:
-    """Return the text on noise that correlates in time."""
+    """Return a remark on noise correlated in time."""
     correlation = found.correlation.clamp(max=0.99)
     widening = float(((1 + correlation) / (1 - correlation)).sqrt()[coloured].max())
     memory = -interval / float(correlation[coloured].max().log())
@@ -119,7 +120,7 @@ def _colour(found: ResidualTests, names: tuple[str, ...], coloured: Tensor, inte
 
 
 def _biases(found: ResidualTests, names: tuple[str, ...], coloured: Tensor) -> list[str]:
-    """Return the texts on what is constant: in all measurements, and in each trajectory."""
+    """Return remarks on biases common to all measurements, and constant in each trajectory."""
     correlation = torch.where(coloured, found.correlation.clamp(0, 0.99), 0)
     chance = (1 + correlation) / (1 - correlation)
     count = max(found.trajectories, 2)

@@ -1,8 +1,8 @@
-"""What residuals contain beside white noise: bias, colour, outliers, a wrong size, or errors of the dynamics.
+"""Tests of residuals for deviations from white noise: bias, colour, outliers, level, wrong dynamics.
 
-Residuals are those of paths fitted to trajectories one by one: they contain the noise and what the dynamics
-cannot describe. Other trajectories tell the two apart: their noise is new, but dynamics that are wrong are
-wrong by the same function of the state.
+Residuals of paths fitted to individual trajectories contain noise and model errors. Cross-validation over
+trajectories separates them: noise is independent between trajectories, while model errors are the same
+function of the state.
 """
 
 from __future__ import annotations
@@ -15,26 +15,26 @@ from torch import Tensor
 from ahnn.data.noise_floor import NORMAL
 
 FOLDS, RIDGE = 4, 1e-6
-"""Groups of trajectories that are left out in turn; ridge of the regression, relative to mean squares."""
+"""Number of cross-validation groups of trajectories; ridge of the regression, relative to mean squares."""
 FAR = 4.0
-"""Standard deviations beyond which 6e-5 of normal numbers lie."""
+"""Standard deviations beyond which a fraction of 6e-5 of normal values lies."""
 
 
 class ResidualTests(NamedTuple):
-    """Findings for each of M measured numbers, in standard deviations of the stated noise.
+    """Test results for each of M measured values, in standard deviations of the stated noise.
 
     Attributes:
         scale: (M,) robust standard deviation about the mean of each trajectory.
         explained: (M,) fraction of the variance within trajectories that a quadratic function of the state
-            and of time, fitted to other trajectories, explains; 0 or less where it explains nothing.
-        correlation: (M,) of neighbours within trajectories.
-        pairs: (M,) how many neighbours there were.
+            and of time, fitted to other trajectories, explains; 0 or less without predictive power.
+        correlation: (M,) correlation of neighbours within trajectories.
+        pairs: (M,) number of neighbour pairs.
         bias: (M,) mean over trajectories of their means.
-        bias_error: (M,) its standard error, from how trajectories differ.
-        spread: (M,) standard deviation of what is constant in a trajectory, beyond what noise leaves.
+        bias_error: (M,) its standard error, from the scatter of trajectories.
+        spread: (M,) standard deviation of constant offsets of trajectories, noise contribution subtracted.
         spread_ratio: (M,) variance of the means of trajectories over that of means of the noise.
-        tails: (M,) fraction of the numbers beyond four robust standard deviations.
-        trajectories: how many there were.
+        tails: (M,) fraction of values beyond four robust standard deviations.
+        trajectories: number of trajectories.
     """
 
     scale: Tensor
@@ -50,13 +50,13 @@ class ResidualTests(NamedTuple):
 
 
 def residual_tests(residuals: Tensor, states: Tensor, times: Tensor, unknowns: int) -> ResidualTests:
-    """Return what residuals have beside white noise.
+    """Test residuals for deviations from white noise.
 
     Args:
-        residuals: (B, K, M) in standard deviations; NaN where nothing was measured.
-        states: (B, K, D) of the fitted paths.
-        times: (B, K).
-        unknowns: numbers of the start that each trajectory was fitted with.
+        residuals: (B, K, M) residuals in standard deviations; NaN where missing.
+        states: (B, K, D) states of the fitted paths.
+        times: (B, K) times.
+        unknowns: number of fitted initial state components per trajectory.
     """
     means = residuals.nanmean(1, keepdim=True)
     within = residuals - means
@@ -85,14 +85,14 @@ def residual_tests(residuals: Tensor, states: Tensor, times: Tensor, unknowns: i
 
 
 def _of_means(means: Tensor) -> tuple[Tensor, Tensor]:
-    """Return mean and variance (M,) of means (B, M) of trajectories."""
+    """Return mean and variance (M,) of trajectory means (B, M)."""
     centre = means.nanmean(0)
     count = (~means.isnan()).sum(0)
     return centre, (means - centre).square().nansum(0) / (count - 1).clamp(min=1)
 
 
 def _features(states: Tensor, times: Tensor) -> Tensor:
-    """Return states and products, also times powers of time, (B, K, F), less their means in each row."""
+    """Return states, their products, and both times powers of time, (B, K, F), minus row means."""
     flat = states.flatten(0, 1)
     z = (states - flat.mean(0)) / flat.std(0).clamp(min=torch.finfo(flat.dtype).tiny)
     products = (z.unsqueeze(-1) * z.unsqueeze(-2))[..., *torch.triu_indices(z.shape[-1], z.shape[-1])]
@@ -104,11 +104,11 @@ def _features(states: Tensor, times: Tensor) -> Tensor:
 
 
 def _explained(residuals: Tensor, features: Tensor) -> Tensor:
-    """Return by which fraction a regression on other trajectories lowers the variance of residuals (B, K)."""
+    """Return the fraction of the variance of residuals (B, K) explained by cross-validated regression."""
     there = ~residuals.isnan()
     folds = min(FOLDS, len(residuals))
     if folds < 2 or int(there.sum()) < 4 * features.shape[-1]:
-        return residuals.new_zeros(())  # too few to tell
+        return residuals.new_zeros(())  # too few for a test
     left, total = residuals.new_zeros(()), residuals.new_zeros(())
     ridge = RIDGE * torch.eye(features.shape[-1], dtype=features.dtype)
     for fold in range(folds):

@@ -1,4 +1,4 @@
-"""The results of an evaluation as one value, and the versioned metrics.json that keeps it."""
+"""Results of an evaluation, and their versioned file metrics.json."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from ahnn.metrics import Scores
 from ahnn.types import Space, Units
 
 SCHEMA = 2
-"""Raise this number when the meaning of a key of metrics.json changes."""
+"""Schema version, increased when the meaning of a key of metrics.json changes."""
 
 FILE = "metrics.json"
 NOT_FINITE = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
-"""Texts in place of numbers that strict JSON does not have."""
+"""Text replacements of numbers not allowed in strict JSON."""
 
 
 class Results(NamedTuple):
-    """What an evaluation found, without its arrays and pictures.
+    """Results of an evaluation, without arrays and figures.
 
     Attributes:
         label: name of the model in tables.
-        assumes: what the model takes as known of the dynamics.
-        space: what the numbers mean.
+        assumes: prior knowledge of the dynamics assumed by the model.
+        space: description of the state components.
         rows: scores, each with its identity.
-        training: numbers on the training, such as `seed`, `window`, `val_loss` and `seconds`.
-        numbers: what each plugin tells besides its rows, by the plugin's name.
+        training: training information, such as `seed`, `window`, `val_loss` and `seconds`.
+        numbers: further numbers of each plugin, by plugin name.
         about: versions, command, machine and date; see `provenance`.
         schema: version of the file.
     """
@@ -46,15 +46,15 @@ class Results(NamedTuple):
     schema: int = SCHEMA
 
     def row(self, who: Who) -> Row | None:
-        """Return the row of this identity, or None where there is none."""
+        """Return the row of a given identity, or None."""
         return next((row for row in self.rows if row.who == who), None)
 
 
 def load_results(folder: Path | str) -> Results:
-    """Return the results in a folder's metrics.json.
+    """Load the results from a folder's metrics.json.
 
     Raises:
-        UserError: there is none, it is damaged, or of another schema.
+        UserError: the file is missing, damaged, or of another schema.
     """
     path = Path(folder) / FILE
     content = read_json(path)
@@ -74,7 +74,7 @@ def load_results(folder: Path | str) -> Results:
 def encoded(results: Results) -> dict[str, Any]:
     """Return results as plain values for strict JSON.
 
-    A row has its `name` for readers only: it follows from the identity.
+    The `name` of a row is for human readers only and follows from its identity.
     """
     space = results.space
     content = {
@@ -100,13 +100,13 @@ def encoded(results: Results) -> dict[str, Any]:
 
 
 def decoded(content: Mapping[str, Any]) -> Results:
-    """Return the results that `encoded` made plain; raises KeyError, TypeError or ValueError.
+    """Rebuild results from the output of `encoded`; raises KeyError, TypeError or ValueError.
 
-    In `training`, in `extra` and in the numbers of plugins the texts inf, -inf and nan are numbers.
+    In `training`, in `extra` and in the numbers of plugins the texts inf, -inf and nan are read as numbers.
     """
     units = Units(**{key: _text(value) for key, value in content["units"].items()})
     components = tuple(_text(name) for name in content["components"])
-    frame = _text(content.get("frame", ""))  # earlier versions have none
+    frame = _text(content.get("frame", ""))  # absent in earlier versions
     mechanical = content.get("mechanical", True) is True
     return Results(
         label=_text(content["model"]),
@@ -127,7 +127,7 @@ def _inertia(value: Any) -> float | tuple[float, ...]:
 
 
 def plain(value: Any) -> Any:
-    """Return nested values fit for strict JSON: numbers that are not finite become texts."""
+    """Return nested values fit for strict JSON: non-finite numbers become texts."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -140,7 +140,7 @@ def plain(value: Any) -> Any:
 
 
 def restored(value: Any) -> Any:
-    """Return nested values with the numbers that `plain` had made texts."""
+    """Return nested values with texts from `plain` converted back to numbers."""
     if isinstance(value, dict):
         return {key: restored(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -173,7 +173,7 @@ def _text(value: Any) -> str:
 
 
 def _choice(name: str, value: Any) -> Any:
-    """Return a value that the identity of a row may have under a name."""
+    """Return a validated field of a row identity."""
     known = get_args(get_type_hints(Who)[name])
     if value not in known:
         message = f"{name}: expected one of {', '.join(known)}, received {value!r}"
@@ -182,7 +182,7 @@ def _choice(name: str, value: Any) -> Any:
 
 
 def _number(value: Any) -> float:
-    """Return a score, a number of JSON or one of the texts for those that it lacks."""
+    """Return a score from a JSON number or a text for a non-finite number."""
     if isinstance(value, str):
         return NOT_FINITE[value]
     if isinstance(value, bool) or not isinstance(value, int | float):

@@ -1,4 +1,4 @@
-"""An evaluation from a case to findings: the open loop, and what each plugin adds."""
+"""Evaluation of a case: open-loop predictions and plugins, merged into findings."""
 
 from __future__ import annotations
 
@@ -25,16 +25,15 @@ from ahnn.uncertainty import Uncertainty, learned_constants
 
 
 def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bool = True) -> Findings:
-    """Return the open-loop scores and what each plugin finds, merged.
+    """Return the merged findings of the open loop and of each plugin.
 
-    Numbers of a plugin stand under its name, its arrays and figures under NAME/KEY: nothing of one plugin
-    takes the place of anything else. Rows of two plugins that have one identity are told apart by the name of
-    the second.
+    Numbers of a plugin are stored under its name, arrays and figures under NAME/KEY, so that plugins do not
+    overwrite one another. Rows of equal identity are distinguished by the name of the second plugin.
 
     Args:
-        case: what to evaluate.
+        case: case to evaluate.
         plugins: further evaluations, by name.
-        figures: whether to keep figures; without them those of the open loop are not drawn.
+        figures: whether to draw and keep figures.
     """
     findings = open_loop(case)
     findings.faults += [row.note for row in findings.rows if row.note]
@@ -56,7 +55,7 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
         findings.figures |= open_loop_figures(case, findings.arrays)
     if (known := case.uncertainty) is not None:
         findings.numbers["uncertainty"] = {"inflation": known.inflation, **known.about}
-        if case.fitted is None:  # a band says nothing of measurements
+        if case.fitted is None:  # bands do not apply to measurements
             add_band(case, known, findings, figures=figures)
         if case.measured is not None:
             add_forecast(case, known, case.measured, findings)
@@ -73,7 +72,7 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
 
 
 def add_plugin(case: Case, name: str, plugin: EvaluationPlugin, findings: Findings, *, figures: bool) -> None:
-    """Add what a plugin finds; remarks on its filters from perturbed starts are faults."""
+    """Add the findings of a plugin; remarks on its filters from perturbed starts are faults."""
     more = plugin(case)
     findings.rows += distinct(more.rows, findings.rows, name)
     findings.numbers[name] = more.numbers
@@ -87,7 +86,7 @@ def add_plugin(case: Case, name: str, plugin: EvaluationPlugin, findings: Findin
 
 
 def add_worth(case: Case, findings: Findings) -> Worth:
-    """Add the value of the prediction beside baselines, and whether the data conserve what the model does."""
+    """Add the comparison of the prediction with baselines, and the conservation tests."""
     found = worth(case, findings.arrays[f"{case.start}_start"])
     findings.tell(found.sentence())
     findings.numbers["worth"] = found.numbers()
@@ -107,7 +106,7 @@ def add_worth(case: Case, findings: Findings) -> Worth:
 
 
 def add_constants(case: Case, findings: Findings) -> None:
-    """Add learned numbers that mean something by themselves, with their standard deviations where known."""
+    """Add learned physical constants, with standard deviations if available."""
     spread = None if case.uncertainty is None else case.uncertainty.spread
     flow: Any = case.flow
     if isinstance(flow, nn.Module) and (found := learned_constants(cast(Any, flow), spread)):
@@ -147,7 +146,7 @@ def add_forecast(case: Case, uncertainty: Uncertainty, measured: Segment, findin
 
 
 def add_force_bound(case: Case, findings: Findings) -> None:
-    """Add the bound of the true force to the row of the prediction from the true start, where it is known."""
+    """Add the bound of the true force to the row of the prediction from the true start, if available."""
     bound = force_bound(case, findings.arrays["true_start"])
     if bound is not None:
         findings.tell(bound.sentence(case.space))
@@ -156,7 +155,7 @@ def add_force_bound(case: Case, findings: Findings) -> None:
 
 
 def distinct(rows: Iterable[Row], taken: Iterable[Row], name: str) -> list[Row]:
-    """Return the rows of a plugin, each with an identity that no row has taken."""
+    """Return the rows of a plugin, with identities made unique."""
     known = {row.who for row in taken}
     return [
         row

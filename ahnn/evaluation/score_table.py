@@ -1,4 +1,4 @@
-"""The results as a text of 80 columns: model and floor side by side, notes below."""
+"""Score table of 80 columns: model and floor in adjacent columns, notes below."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from ahnn.evaluation.titles import MODEL, described, estimator_title, title
 from ahnn.labels import headed, quantity
 
 NUMBER = 9
-"""Columns of a number: `1.23e-300` is the longest score."""
+"""Width of a number; `1.23e-300` is the longest score."""
 
 QUANTITIES = ("position", "velocity", "energy")
 
 
 class ScoreLine(NamedTuple):
-    """A line of the table.
+    """Line of the table.
 
     Attributes:
-        section: heading above it.
+        section: section heading.
         name: start and span.
-        rows: the model's and the floor's, None where there is none.
+        rows: rows of the model and of the floor, or None.
     """
 
     section: str
@@ -34,10 +34,10 @@ class ScoreLine(NamedTuple):
 
 
 def results_table(results: Results, *, detail: bool = False) -> str:
-    """Return the table of an evaluation.
+    """Format the table of an evaluation.
 
     Args:
-        results: of the evaluation.
+        results: results of the evaluation.
         detail: whether all notes, pooled errors and those of each component follow, in place of the verdict.
     """
     head = f"{results.label} on {results.space.name}" + (f": {results.assumes}" if results.assumes else "")
@@ -59,8 +59,8 @@ def results_table(results: Results, *, detail: bool = False) -> str:
 def table_lines(rows: Iterable[Row], label: str) -> list[ScoreLine]:
     """Return the lines of a table, in sections, each row in one of them.
 
-    A floor stands beside the model of the same estimator, start and span; a further process, or a second
-    floor, has a section of its own.
+    A floor shares a line with the model of the same estimator, start and span; another process, or a second
+    floor, has its own section.
     """
     lines: list[ScoreLine] = []
     for row in rows:
@@ -74,7 +74,7 @@ def table_lines(rows: Iterable[Row], label: str) -> list[ScoreLine]:
 
 
 def _slot(lines: list[ScoreLine], who: Who, label: str) -> int:
-    """Return the number of the line that has room for a row; it is added where there is none."""
+    """Return the index of the line with a free slot for a row, adding a line if necessary."""
     own = title(who, label)
     section = own
     for section in (_section(who), own) if who.floor or who.process == MODEL else (own,):
@@ -97,7 +97,7 @@ def _name(who: Who) -> str:
 
 
 def _columns(lines: list[ScoreLine], results: Results) -> Iterator[str]:
-    """Yield head and body; a column that would be empty throughout is left out."""
+    """Yield head and body, omitting empty columns."""
     sides = [side for side in (0, 1) if any(line.rows[side] for line in lines)]
     known = [quantity for quantity in QUANTITIES if _any(lines, quantity)]
     body = [
@@ -129,7 +129,7 @@ def _any(lines: list[ScoreLine], quantity: str) -> bool:
 
 
 def _scored(row: Row, value: float | None) -> bool:
-    """Return whether a score is known: what was not measured has none."""
+    """Return whether a score is available: unmeasured components have none."""
     return value is not None and not (row.who.start == "fitted" and math.isnan(value))
 
 
@@ -138,7 +138,7 @@ def _cell(row: Row | None, quantity: str) -> str:
 
 
 def _explanations(results: Results) -> Iterator[str]:
-    """Yield what the columns and the sections mean, as far as they are there."""
+    """Yield explanations of the columns and sections present."""
     yield from _wrapped("RMSE over unseen trajectories: mean over trajectories of the rms vector norm.")
     floors = dict.fromkeys(title(row.who, results.label) for row in results.rows if row.who.floor)
     if floors:
@@ -153,7 +153,7 @@ def _explanations(results: Results) -> Iterator[str]:
 
 
 def _details(row: Row, results: Results) -> str:
-    """Return the scores of a row that the table has no column for."""
+    """Format the scores of a row without a column in the table."""
     space, names = results.space, results.space.components
     over = "/m" if space.mechanical else ""
     labels = [*names[: space.dof], *(name + over for name in names[space.dof :])]
@@ -168,7 +168,7 @@ def _details(row: Row, results: Results) -> str:
 
 
 def _noted(who: str, findings: list[str]) -> list[str]:
-    """Return one finding behind the name of its row, several below it."""
+    """Format notes: one finding after the name of its row, several below it."""
     if len(findings) == 1:
         return _wrapped(f"{who}: {findings[0]}", hanging=True)
     below = (textwrap.wrap(one, WIDTH, initial_indent="  ", subsequent_indent="    ") for one in findings)
@@ -180,9 +180,9 @@ def _wrapped(text: str, *, hanging: bool = False) -> list[str]:
 
 
 def number(value: float | None) -> str:
-    """Return a number with three or four digits, in the shorter of the two notations and at most nine signs.
+    """Format a number with three or four digits, in the shorter notation, at most nine characters.
 
-    An exponent is never cut; what is not there is `-`.
+    An exponent is never truncated; missing values are shown as `-`.
     """
     if value is None:
         return "-"

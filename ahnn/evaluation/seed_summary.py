@@ -1,4 +1,4 @@
-"""Mean and spread over the seeds of several models, as a text of 80 columns."""
+"""Table of mean and spread over seeds for several models, 80 columns."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ CELL = 16
 
 
 def summary(folder: Path, names: Iterable[str]) -> str:
-    """Return the table of the runs in a folder, and how to go on.
+    """Format the table of the runs in a folder, with instructions for resumption.
 
     Args:
-        folder: holds a run folder for each name.
-        names: of the run folders, LABEL_SEED; those without results are named below the table.
+        folder: folder that contains the run folders.
+        names: names of the run folders, LABEL_SEED; those without results are listed below the table.
     """
     found, missing = [], []
     for name in names:
@@ -40,7 +40,7 @@ def summary(folder: Path, names: Iterable[str]) -> str:
 
 
 def seeds_table(runs: list[Results]) -> Iterator[str]:
-    """Yield the lines: for each estimator a line a model, mean and relative spread, and the floor."""
+    """Yield the table lines: per estimator one line per model, mean and relative spread, and the floor."""
     models = list(dict.fromkeys(run.label for run in runs))
     width = max(5, *map(len, models)) + 2
     yield " " * width + f"{'true start':>{2 * CELL}}{'perturbed start':>{2 * CELL}}"
@@ -66,7 +66,7 @@ def seeds_table(runs: list[Results]) -> Iterator[str]:
 def scores(
     runs: list[Results], estimator: str | None, start: str, quantity: str, *, floor: bool = False
 ) -> list[float]:
-    """Return a score of each run, of its model or of the floor beside it, over whole trajectories."""
+    """Return a score of each run, of its model or floor, over whole trajectories."""
     return [
         getattr(row.scores, quantity)
         for run in runs
@@ -76,14 +76,14 @@ def scores(
 
 
 def is_of(row: Row, estimator: str | None, start: str, *, floor: bool) -> bool:
-    """Return whether a row holds such scores; the first of several floors stands beside the model."""
+    """Return whether a row contains such scores; the first of several floors is used."""
     who = row.who
     side = who.floor if floor else who.process == MODEL and not who.floor
     return bool(side) and (who.estimator, who.start, who.span) == (estimator, start, "whole")
 
 
 def cell(values: list[float]) -> str:
-    """Return mean and relative spread; one value has no spread."""
+    """Format mean and relative spread; a single value has no spread."""
     if not values:
         return "-"
     mean = fmean(values)

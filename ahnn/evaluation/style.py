@@ -1,4 +1,4 @@
-"""How pictures look: colours that colour-blind readers tell apart, axes of time and of errors, legends.
+"""Figure style: colour-blind safe colours, time and error axes, legends.
 
 The colours are those of Okabe & Ito (2008); line styles differ too, for print without colour.
 """
@@ -23,9 +23,9 @@ TRUTH: dict[str, Any] = {"color": BLACK, "ls": (0, (4, 3)), "lw": 1.0, "zorder":
 MODEL: dict[str, Any] = {"color": VERMILLION, "ls": "-", "lw": 1.8}
 FLOOR: dict[str, Any] = {"color": BLUE, "ls": (0, (6, 1.5, 1.5, 1.5)), "lw": 1.5, "zorder": 3}
 ALONE: dict[str, Any] = {"color": GREEN, "ls": (0, (1.5, 1.2)), "lw": 1.8, "zorder": 3}
-"""Styles of the truth, of a model, of a floor, and of a model whose estimator is switched off.
+"""Line styles of truth, model, floor, and model without estimator.
 
-The interrupted lines lie over the whole one, so that both are seen where they agree.
+Dashed lines are drawn over the solid one, so that both are visible where they coincide.
 """
 
 BAND = SKY
@@ -33,7 +33,7 @@ ERRORS = "viridis"
 """Colour map of errors along a path."""
 
 LOST = 1e30
-"""Size from which on a number is lost: no axis shows it beside others."""
+"""Values from this size on are treated as lost and excluded from axis limits."""
 NAMES = ("position", "velocity")
 
 
@@ -44,14 +44,14 @@ class Axis(NamedTuple):
     unit: str
 
     def at(self, samples: Tensor) -> Axis:
-        """Return the times of some samples, given by their numbers."""
+        """Return the times of samples by index."""
         return Axis(self.time[samples], self.unit)
 
 
 def time_axis(case: Case) -> Axis:
-    """Return the times since the start of the test trajectories, in hours where they are many seconds.
+    """Return the times since the start of the test trajectories, in hours for long time spans in seconds.
 
-    Where trajectories differ it is the mean of those that have the sample.
+    For trajectories with different times it is the mean over those that contain the sample.
     """
     times = case.test.times
     elapsed = (times - times[:, :1]).nanmean(0)
@@ -61,26 +61,26 @@ def time_axis(case: Case) -> Axis:
 
 
 def own_times(case: Case) -> Axis:
-    """Return the times (B, T) since the start of each test trajectory, NaN where it has no sample."""
+    """Return the times (B, T) since the start of each test trajectory, NaN where missing."""
     times, there = case.test.times - case.test.times[:, :1], case.test.states.isfinite().any(-1)
     return _readable(times.where(there, torch.nan), case.space.units.time)
 
 
 def _readable(time: Tensor, unit: str) -> Axis:
-    """Return times in hours where they are many seconds."""
+    """Convert long time spans in seconds to hours."""
     long = unit == "s" and float(time.nan_to_num(0.0).max()) > 7200
     return Axis(time / 3600, "h") if long else Axis(time, unit)
 
 
 def reference(case: Case) -> str:
-    """Return what the trajectories of a case are called: the truth, data, or measurements."""
+    """Return the label of a case's trajectories: the truth, data, or measurements."""
     if case.fitted is not None:
         return "measurements"
     return "test data" if case.truth is None else "truth"
 
 
 def canvas(width: float, height: float) -> Figure:
-    """Return an empty figure, in inches."""
+    """Return an empty figure of a size in inches."""
     return Figure(figsize=(width, height), layout="constrained")
 
 
@@ -99,12 +99,12 @@ def label_errors(case: Case, panels: Iterable[Any], word: str = "error") -> None
 
 
 def state_labels(case: Case) -> list[str]:
-    """Return the names of the state components with their units, momenta as velocities where they are."""
+    """Return the names of the state components with their units, momenta as velocities if applicable."""
     return components(case.space)
 
 
 def legend_below(figure: Figure, *panels: Any) -> None:
-    """Put one legend under a figure, of all that its panels show, each name once."""
+    """Put one legend below a figure, with each label of all panels once."""
     entries: dict[str, Any] = {}
     for axes in panels:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -118,9 +118,9 @@ def logarithmic(axes: Any, first: int, others: Iterable[Any] = ()) -> None:
     """Make the vertical axis logarithmic, scaled to the curves from their entry `first` on.
 
     Args:
-        axes: with lines.
-        first: entries before it may leave the frame: errors begin at zero from a true start.
-        others: further axes that share the scale.
+        axes: axes with lines.
+        first: first entry considered in the scaling: errors from a true start begin at zero.
+        others: further axes with the same scale.
     """
     curves = [line for each in (axes, *others) for line in each.get_lines()]
     series = [torch.as_tensor(line.get_ydata()).double() for line in curves]
@@ -130,7 +130,7 @@ def logarithmic(axes: Any, first: int, others: Iterable[Any] = ()) -> None:
     if not len(values):
         return
     low, high = float(values.min()) / 1.3, float(values.max()) * 1.3
-    axes.set_ylim(low, min(high, low * 1e18))  # one lost prediction does not flatten the others
+    axes.set_ylim(low, min(high, low * 1e18))  # so that a lost prediction does not flatten the others
     axes.set_yscale("log")
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 30 * low else (1.0,)))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -138,7 +138,7 @@ def logarithmic(axes: Any, first: int, others: Iterable[Any] = ()) -> None:
 
 
 def near(axes: Any, points: Tensor) -> None:
-    """Keep a frame near some points (..., 2) where other curves leave it by far."""
+    """Limit the axes to the vicinity of points (..., 2) if other curves extend far beyond."""
     points = points.flatten(0, -2)
     points = points[points.isfinite().all(-1)]
     if not len(points):
@@ -152,7 +152,7 @@ def near(axes: Any, points: Tensor) -> None:
 
 
 def frame(axes: Any, curves: Iterable[Tensor], *, symmetric: bool) -> None:
-    """Set the vertical limits to curves, (T,), with a margin; leave them where nothing is finite."""
+    """Set the vertical limits to curves, (T,), with a margin; unchanged without finite values."""
     values = torch.cat([curve[curve.isfinite()] for curve in curves])
     if not len(values):
         return

@@ -1,4 +1,4 @@
-"""One table over the jobs of a sweep: what each was asked for, its training and its scores."""
+"""Table of the jobs of a sweep: overrides, training and scores."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from ahnn.evaluation.titles import MODEL
 from ahnn.labels import quantity
 
 TRAINING = {"W": "window", "seconds": "seconds", "val loss": "val_loss"}
-"""Columns of numbers on the training; losses over windows of different W do not compare."""
+"""Columns of training information; losses over windows of different W are not comparable."""
 QUANTITIES = ("position", "velocity", "energy")
 
 
 def sweep_table(folder: Path, jobs: list[Path]) -> Table:
-    """Return the table over job folders: overrides, training, and the model's scores from the true start."""
+    """Format the table of job folders: overrides, training, and the model's scores from the true start."""
     table = Table(title=f"sweep {folder}", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     table.pad_edge, table.padding = False, (0, 1, 0, 0)
     table.add_column("job", no_wrap=True)
@@ -42,7 +42,7 @@ def sweep_table(folder: Path, jobs: list[Path]) -> Table:
 
 
 def _results(job: Path) -> Results | None:
-    """Return the results of a job, or None where it has none."""
+    """Return the results of a job, or None."""
     try:
         return load_results(job)
     except UserError:
@@ -50,7 +50,7 @@ def _results(job: Path) -> Results | None:
 
 
 def _values(results: Results) -> list[str] | None:
-    """Return the cells of a job, or None where it has no score."""
+    """Return the cells of a job, or None without a score."""
     row = results.row(Who(MODEL, "true"))
     if row is None:
         return None

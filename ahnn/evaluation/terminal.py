@@ -1,4 +1,4 @@
-"""Writing to standard output: 80 columns for files and pipes, and any encoding."""
+"""Output to standard output, with 80 columns for files and pipes, in any encoding."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 from rich.console import Console, RenderableType
 
 WIDTH = 80
-"""Columns of what goes to no terminal."""
+"""Width of output that is not written to a terminal."""
 
 ASCII = {
     "²": "^2",
@@ -27,11 +27,11 @@ ASCII = {
     "Δ": "Delta",
     "θ": "theta",
 }
-"""Stand-ins where an encoding lacks a sign."""
+"""Replacements of characters missing in an encoding."""
 
 
 def show(content: RenderableType) -> None:
-    """Write a text or a table to standard output, as wide as the terminal, or `WIDTH` columns."""
+    """Write a text or table to standard output, in the width of the terminal or `WIDTH` columns."""
     stream = sys.stdout
     console = Console(file=stream, width=None if stream.isatty() else WIDTH)
     with console.capture() as capture:
@@ -40,7 +40,7 @@ def show(content: RenderableType) -> None:
 
 
 def writable(text: str, encoding: str | None) -> str:
-    """Return a text that an encoding has all signs for, with stand-ins where it lacks them."""
+    """Replace characters of a text that are missing in an encoding."""
     encoding = encoding or "ascii"
     try:
         text.encode(encoding)

@@ -1,21 +1,21 @@
-"""The names of a row, for readers and for TensorBoard; derived from its identity here and nowhere else."""
+"""Names of result rows for readers and TensorBoard, derived from their identity."""
 
 from __future__ import annotations
 
 from ahnn.evaluation.case import Who
 
 MODEL = "model"
-"""The process of the rows of the trained model."""
+"""Process name of rows of the trained model."""
 
 SPANS = {"whole": "", "settled": "settled"}
 
 
 TITLES = {"enkf": "EnKF", "particle": "particle filter"}
-"""Names of estimators that are no capitals."""
+"""Estimator names that are not acronyms."""
 
 
 def title(who: Who, label: str) -> str:
-    """Return what predicts, for example `ahnn5`, `exact flow + UKF` or `ahnn5 + UKF tuned`.
+    """Return the name of the predictor, for example `ahnn5`, `exact flow + UKF` or `ahnn5 + UKF tuned`.
 
     Args:
         who: identity of a row.
@@ -32,7 +32,7 @@ def estimator_title(estimator: str) -> str:
 
 
 def described(who: Who, label: str) -> str:
-    """Return what predicts, from which start and over which span."""
+    """Describe the predictor, its start and span."""
     parts = title(who, label), f"{who.start} start", SPANS[who.span]
     return ", ".join(part for part in parts if part)
 
@@ -40,7 +40,7 @@ def described(who: Who, label: str) -> str:
 def metric_name(who: Who, quantity: str) -> str:
     """Return the name of a score in TensorBoard, free of the model's label so that runs compare.
 
-    The plain case is the shortest: `score/position` is that of the model from the true start without
+    The default case is the shortest: `score/position` is the score of the model from the true start without
     measurements, `score/position/ukf/perturbed/settled` that of a filter.
     """
     process = None if who.process == MODEL else who.process.replace(", ", "_").replace(" ", "_")

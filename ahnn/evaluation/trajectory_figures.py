@@ -1,4 +1,4 @@
-"""Pictures of predicted trajectories: errors first, then energy, then the motion itself."""
+"""Figures of predicted trajectories: errors, energy, and motion."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ class Curve(NamedTuple):
 
 
 def open_loop_figures(case: Case, arrays: dict[str, Tensor]) -> dict[str, Figure]:
-    """Return the figures of an open-loop evaluation under their names, the errors first.
+    """Draw the figures of an open-loop evaluation, by name, errors first.
 
     Args:
-        case: what is evaluated.
-        arrays: predictions (B, T, D) as `open_loop` names them.
+        case: evaluated case.
+        arrays: predictions (B, T, D) named as by `open_loop`.
     """
     curves = list(_curves(case, arrays))
     figures = {"error": error(case, curves)}
@@ -52,7 +52,7 @@ def open_loop_figures(case: Case, arrays: dict[str, Tensor]) -> dict[str, Figure
 
 
 def _curves(case: Case, arrays: dict[str, Tensor]) -> Iterator[Curve]:
-    """Yield floor, if there is one, and model."""
+    """Yield the floor, if any, and the model."""
     floor = floors(case).get("true")
     if floor is not None:
         name = f"floor: {title(floor.who, case.label)}"
@@ -62,9 +62,9 @@ def _curves(case: Case, arrays: dict[str, Tensor]) -> Iterator[Curve]:
 
 
 def error(case: Case, curves: list[Curve]) -> Figure:
-    """Draw position and velocity error over time, thin, and its moving average, thick, model and floor.
+    """Plot position and velocity errors over time (thin) and moving averages (thick) of model and floor.
 
-    Velocities that were not measured have no panel.
+    Unmeasured velocities have no panel.
     """
     known = sum(bool(block.isfinite().any()) for block in case.test.states.chunk(2, dim=-1))
     figure = style.canvas(8, 3 * known)
@@ -93,13 +93,13 @@ def error(case: Case, curves: list[Curve]) -> Figure:
 
 
 def in_time(times: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
-    """Return mean times and values (N,) of B neighbours in time, of B trajectories with times of their own.
+    """Return mean times and values (N,) of groups of B neighbours in time, for B unsynchronised trajectories.
 
-    Fewer than B at the end are left out.
+    An incomplete group at the end is omitted.
 
     Args:
-        times: (B, T).
-        values: (B, T), NaN where there is none.
+        times: (B, T) times.
+        values: (B, T) values, NaN where missing.
     """
     there = ~values.isnan()
     time, order = times[there].sort()
@@ -110,9 +110,9 @@ def in_time(times: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def energy(case: Case, curves: list[Curve]) -> Figure:
-    """Draw how far the energy strays along the first trajectory: the true one, or else the learned one.
+    """Plot the energy drift along the first trajectory, of the true energy or else the learned one.
 
-    The upper panel shows the change, the lower one how far it is from that of the data, which is none where
+    The upper panel shows the change, the lower one its difference from the data's change, which is zero if
     energy is conserved.
     """
     figure = style.canvas(8, 6)
@@ -143,7 +143,7 @@ def energy(case: Case, curves: list[Curve]) -> Figure:
 
 
 def phase_portrait(case: Case, curves: list[Curve], count: int = 4) -> Figure:
-    """Draw position against velocity for a few test trajectories, and the errors of both beside it."""
+    """Plot velocity against position for a few test trajectories, and the errors of both."""
     figure = style.canvas(10, 4.8)
     left, right = figure.subplots(1, 2)
     truth = _plane(case, case.test.states[:count])
@@ -177,7 +177,7 @@ def _plane(case: Case, states: Tensor) -> Tensor:
 
 
 def _errors_in_plane(axes: Any, curve: Curve, off: Tensor) -> None:
-    """Draw errors (B, T, 2), or a mark with a remark where they are too small to be seen."""
+    """Plot errors (B, T, 2), or a marker with a remark if they are too small to be visible."""
     low, high = torch.tensor(axes.dataLim.get_points(), dtype=torch.float64)
     size = off.abs().nan_to_num(0.0).flatten(0, 1).amax(0)
     if bool((size < 0.01 * (high - low)).all()):
@@ -189,7 +189,7 @@ def _errors_in_plane(axes: Any, curve: Curve, off: Tensor) -> None:
 
 
 def path(case: Case, curves: list[Curve]) -> Figure:
-    """Draw the first test trajectory in the plane of its two positions, coloured by the model's error."""
+    """Plot the first test trajectory in the plane of its two positions, coloured by the model's error."""
     figure = style.canvas(7, 5.8)
     axes: Any = figure.subplots()
     truth, model = (x[0, :, :2].numpy() for x in (case.test.states, curves[-1].states))
@@ -205,7 +205,7 @@ def path(case: Case, curves: list[Curve]) -> Figure:
 
 
 def orbit(case: Case, curves: list[Curve]) -> Figure:
-    """Draw the first test orbit in space, coloured by the model's error, the planet to scale."""
+    """Plot the first test orbit in space, coloured by the model's error, with the planet to scale."""
     figure = style.canvas(8, 6.5)
     axes: Any = figure.add_subplot(projection="3d", computed_zorder=False)
     truth, model = (x[0, :, :3].numpy() for x in (case.test.states, curves[-1].states))
@@ -229,7 +229,7 @@ def orbit(case: Case, curves: list[Curve]) -> Figure:
 
 
 def _coloured(case: Case, figure: Figure, axes: Any, kind: Any, model: Any, truth: Any) -> None:
-    """Draw predicted positions (T, n) as a line coloured by their distance from the truth."""
+    """Plot predicted positions (T, n) as a line coloured by their distance from the truth."""
     distance = np.linalg.norm(model - truth, axis=-1)[1:]
     there = np.isfinite(distance)
     segments = np.stack((model[:-1], model[1:]), axis=1)[there]

@@ -1,4 +1,4 @@
-"""Learned dynamics as graphs that other programs run: torch.export and ONNX, and what their numbers mean."""
+"""Export of learned dynamics as graphs: torch.export and ONNX, with metadata."""
 
 from __future__ import annotations
 

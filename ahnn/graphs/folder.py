@@ -1,4 +1,4 @@
-"""An exported model as a folder: graphs, weights, and a JSON that says what the numbers mean."""
+"""Folder of an exported model: graphs, weights, and a JSON description."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from ahnn.runs import Run
 from ahnn.stored import about_space
 
 FORMAT = 1
-"""Of model.json; raise it when its meaning changes."""
+"""Version of model.json, increased when its meaning changes."""
 ABOUT, WEIGHTS = "model.json", "weights.safetensors"
 SHAPES = {"flow": ["batch", "components"], "energy": ["batch"]}
 
 
 def write_export(run: Run, folder: Path) -> list[str]:
-    """Write an exported model and return the names of its files; the folder appears whole or not at all.
+    """Write an exported model and return the names of its files; the folder is written atomically.
 
     Raises:
-        UserError: the folder exists, a package is missing, or the model has no graph.
+        UserError: the folder exists, a package is missing, or the model cannot be exported.
     """
     if os.path.lexists(folder):
         message = f"output: expected a new folder; received {folder}, which exists"
@@ -48,7 +48,7 @@ def write_export(run: Run, folder: Path) -> list[str]:
 
 
 def about(run: Run, parts: dict[str, nn.Module]) -> dict[str, Any]:
-    """Return what the numbers of an exported model mean, plain values."""
+    """Return the metadata of an exported model, plain values."""
     made = provenance()
     kept = {name: made[name] for name in ("ahnn", "commit", "torch", "date")}
     state = run.dynamics.state_dict()

@@ -1,4 +1,4 @@
-"""What is exported: a step of the flow, and the energy, as modules of states, and of a clock where needed."""
+"""Exported modules: flow step and energy as functions of states and, if needed, a clock."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from ahnn.errors import UserError
 from ahnn.integrators import GaussLegendre4
 
 SPACING, TERMS = 0.5, 13
-"""Of the sum for the normal distribution; its error is below 4e-16."""
+"""Step of the sum for the normal distribution; its error is below 4e-16."""
 
 
 class StepModule(nn.Module):
-    """One step of a flow: the states (B, D) that the states x, shape (B, D), reach after dt."""
+    """One step dt of a flow, from states x, shape (B, D), to states (B, D)."""
 
     def __init__(self, dynamics: Dynamics, dt: float) -> None:
         super().__init__()
@@ -34,20 +34,20 @@ class StepModule(nn.Module):
 
 
 class ClockedStepModule(nn.Module):
-    """One step of a flow whose forces depend on time or controls, which are held over the step."""
+    """One step of a flow whose forces depend on time or controls, which are constant over the step."""
 
     def __init__(self, dynamics: Dynamics, dt: float) -> None:
         super().__init__()
         self.dynamics, self.dt = dynamics, dt
 
     def forward(self, x: Tensor, clock: Tensor) -> Tensor:
-        """Return the states (B, D) after a step from x, begun at time and controls (B, k)."""
+        """Return the states (B, D) after a step from x, given time and controls (B, k)."""
         rates = torch.cat((torch.ones_like(clock[:, :1]), torch.zeros_like(clock[:, 1:])), dim=-1)
         return reduced(self.dynamics(extended(x, Clock(clock, rates)), self.dt), self.dynamics.clock)
 
 
 class EnergyModule(nn.Module):
-    """The learned Hamiltonian, shape (B,), at states of shape (B, D)."""
+    """Learned Hamiltonian, shape (B,), at states of shape (B, D)."""
 
     def __init__(self, dynamics: Dynamics) -> None:
         super().__init__()
@@ -59,10 +59,11 @@ class EnergyModule(nn.Module):
 
 
 def modules(dynamics: Dynamics, dt: float) -> dict[str, nn.Module]:
-    """Return what there is to export, by name: `flow`, and `energy` of a model with a Hamiltonian.
+    """Return the modules to export, by name: `flow`, and `energy` of a model with a Hamiltonian.
 
     Raises:
-        UserError: an implicit integrator, whose iteration has no fixed length, or a Lagrangian network.
+        UserError: an implicit integrator, with a data-dependent number of iterations, or a Lagrangian
+            network.
     """
     integrator = getattr(dynamics, "integrator", None)
     if isinstance(integrator, GaussLegendre4):
@@ -86,7 +87,7 @@ def modules(dynamics: Dynamics, dt: float) -> dict[str, nn.Module]:
 
 
 def portable(dynamics: Dynamics) -> Dynamics:
-    """Return a copy without the error function, which runtimes lack in double precision."""
+    """Return a copy without the error function, which ONNX runtimes lack in double precision."""
     own = copy.deepcopy(dynamics)
     for module in own.modules():
         if isinstance(module, Perceptron) and module.activation.value is torch.nn.functional.gelu:
@@ -95,7 +96,7 @@ def portable(dynamics: Dynamics) -> Dynamics:
 
 
 def normal(z: Tensor) -> Tensor:
-    """Return the normal distribution function from exponentials alone.
+    """Return the normal distribution function from exponentials only.
 
     The trapezoidal rule for the integral of erfc, with its poles accounted for, converges exponentially
     (Chiarella & Reichl 1968, Math. Comp. 22, 137; Hunter & Regan 1972, Math. Comp. 26, 539).

@@ -1,4 +1,4 @@
-"""From a module to a torch.export program and to ONNX, both in double precision with any number of states."""
+"""Conversion of modules to torch.export programs and ONNX, in double precision for any batch size."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from torch.export import Dim, ExportedProgram, export
 from ahnn.errors import UserError
 
 INPUT, CLOCK, OUTPUT = "states", "clock", "result"
-"""Names of what goes in and comes out of the ONNX graphs."""
+"""Input and output names of the ONNX graphs."""
 
 
 def program(module: nn.Module, *sizes: int) -> ExportedProgram:
-    """Return a program of a module of states (B, D), and of a clock (B, k) where a second size is given."""
+    """Export a module of states (B, D), and of a clock (B, k) if a second size is given."""
     examples, batch = tuple(torch.ones(2, size, dtype=torch.float64) for size in sizes), Dim("batch")
     with quiet():
         return export(module.eval(), examples, dynamic_shapes=tuple({0: batch} for _ in sizes))
@@ -38,7 +38,7 @@ def as_onnx(found: ExportedProgram) -> bytes:
     """Return a program as the content of an .onnx file.
 
     Raises:
-        UserError: the packages that write it are not installed.
+        UserError: the required packages are not installed.
     """
     require_onnx()
     import numpy as np
@@ -59,13 +59,13 @@ def as_onnx(found: ExportedProgram) -> bytes:
 
 
 def factors(found: ExportedProgram) -> set[float]:
-    """Return the numbers in the operations of a program, which torch's exporter rounds to single."""
+    """Return the constants in a program, which torch's exporter rounds to single precision."""
     given = (value for node in found.graph.nodes for value in (*node.args, *node.kwargs.values()))
     return {value for value in given if isinstance(value, float)}
 
 
 def require_onnx() -> None:
-    """Raise UserError where the packages that write ONNX are not installed."""
+    """Raise UserError if the packages for ONNX are not installed."""
     try:
         import onnx  # noqa: F401
         import onnxscript  # noqa: F401
@@ -78,7 +78,7 @@ def require_onnx() -> None:
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Silence what torch's exporters say of other packages and of their own deprecations."""
+    """Silence warnings of torch's exporters on other packages and their own deprecations."""
     logger = logging.getLogger("torch.onnx")
     level = logger.level
     logger.setLevel(logging.ERROR)

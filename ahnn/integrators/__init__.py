@@ -1,7 +1,7 @@
-"""One-step integrators: a method is a table of numbers, and one loop serves each family.
+"""One-step integrators: methods are tables of coefficients with one loop per family.
 
 Explicit Runge-Kutta methods, symmetric symplectic compositions and one implicit Gauss method, all batched,
-differentiable and free of state. Add a method by adding its numbers and a line to `OWN`.
+differentiable and stateless. A method is added by its coefficients and a line in `OWN`.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ OWN = (
     SymmetricComposition("kahan_li8", 8, compositions.KAHAN_LI8),
 )
 INTEGRATORS: Table[Integrator] = Table("ahnn.integrators", {method.name: method for method in OWN})
-"""Methods by name, those that installed packages declare in the entry-point group among them."""
+"""Methods by name, including those declared by installed packages in the entry-point group."""
 
 
 def make_integrator(name: str, **options: Any) -> Integrator:
-    """Return the integrator of this name.
+    """Build the integrator of a given name.
 
     Args:
         name: a key of `INTEGRATORS`.

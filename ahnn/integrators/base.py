@@ -1,4 +1,4 @@
-"""What every one-step method offers: an increment, and the step made of it."""
+"""Base class of one-step integrators."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ahnn.types import TimeStep, VectorField
 
 
 class Integrator(ABC):
-    """A one-step method for autonomous fields."""
+    """One-step method for autonomous fields."""
 
     name: str
     order: int
@@ -19,19 +19,19 @@ class Integrator(ABC):
     def increment(self, field: VectorField, x: Tensor, dt: TimeStep) -> Tensor:
         """Return x(t + dt) - x(t), shape (..., D).
 
-        Losses compare increments because they keep the digits that a sum with a large state loses.
+        Losses compare increments, which keep digits that are lost in a sum with a large state.
 
         Args:
             field: right-hand side of the differential equation.
             x: states, shape (..., D).
-            dt: one step for all, or a (B,) tensor for states of shape (B, D).
+            dt: common step, or a (B,) tensor for states of shape (B, D).
         """
 
-    def require(self, field: object) -> None:  # noqa: B027 - most methods take any field
-        """Refuse a field that the method cannot integrate, before anything is computed.
+    def require(self, field: object) -> None:  # noqa: B027 - most methods accept any field
+        """Check before any computation that the method can integrate a field.
 
         Raises:
-            UserError: it lacks the structure that the method needs.
+            UserError: the field lacks the required structure.
         """
 
     def step(self, field: VectorField, x: Tensor, dt: TimeStep) -> Tensor:
@@ -40,5 +40,5 @@ class Integrator(ABC):
 
 
 def column(dt: TimeStep) -> TimeStep:
-    """Return dt so that it multiplies states: a number as it is, a (B,) tensor as (B, 1)."""
+    """Return dt so that it multiplies states: a number unchanged, a (B,) tensor as (B, 1)."""
     return dt.unsqueeze(-1) if isinstance(dt, Tensor) and dt.ndim > 0 else dt

@@ -13,7 +13,7 @@ from ahnn.types import TimeStep, VectorField
 
 @dataclass(frozen=True)
 class ExplicitRungeKutta(Integrator):
-    """The explicit Runge-Kutta method of a tableau, at a fixed step."""
+    """Explicit Runge-Kutta method of a tableau, with a fixed step."""
 
     name: str
     order: int
@@ -29,7 +29,7 @@ class ExplicitRungeKutta(Integrator):
 
 
 def _combine(weights: tuple[float, ...], slopes: list[Tensor]) -> Tensor:
-    """Return sum_i weights_i slopes_i without touching slopes of zero weight."""
+    """Return sum_i weights_i slopes_i skipping slopes of zero weight."""
     (first, slope), *others = [(w, k) for w, k in zip(weights, slopes, strict=True) if w != 0.0]
     total = slope * first
     for weight, slope in others:

@@ -1,4 +1,4 @@
-"""The two-stage Gauss-Legendre method: implicit, symplectic for any Hamiltonian, order 4."""
+"""Two-stage Gauss-Legendre method: implicit, symplectic for any Hamiltonian, order 4."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _A21 = 0.25 + math.sqrt(3) / 6
 @checked
 @dataclass(frozen=True)
 class GaussLegendre4(Integrator):
-    """Gauss-Legendre Runge-Kutta of order 4, its stages solved by fixed-point iteration.
+    """Gauss-Legendre Runge-Kutta of order 4, with stages solved by fixed-point iteration.
 
     Attributes:
         tolerance: a member is solved when no component of dt * slope changes by more than this, relative
@@ -39,8 +39,8 @@ class GaussLegendre4(Integrator):
     def increment(self, field: VectorField, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the increment of one step, shape (..., D).
 
-        A member that is solved is frozen, so the result of one never depends on the others. A non-finite
-        member stays non-finite and does not hold up the rest.
+        Converged members are frozen, so that results are independent of other members. A non-finite member
+        stays non-finite and does not delay the others.
 
         Raises:
             UserError: the iteration did not converge within `max_iterations`.
@@ -77,7 +77,7 @@ class GaussLegendre4(Integrator):
 def _of_block(size: Tensor) -> Tensor:
     """Return the largest size among positions, and among momenta, for each component, shape (..., D).
 
-    Neither block says anything of the units of the other.
+    The blocks may have different units.
     """
     blocks = size.unflatten(-1, (2, -1)) if size.shape[-1] % 2 == 0 else size.unsqueeze(-2)
     return blocks.amax(-1, keepdim=True).expand_as(blocks).flatten(-2)

@@ -31,14 +31,14 @@ class SymmetricComposition(Integrator):
 
     @cached_property
     def weights(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Weights of the drifts (s + 1) and of the kicks (s)."""
+        """Weights of the drifts, (s + 1), and of the kicks, (s)."""
         kicks = self.half + self.half[-2::-1]
         padded = (0.0, *kicks, 0.0)
         drifts = tuple((left + right) / 2 for left, right in pairwise(padded))
         return drifts, kicks
 
     def require(self, field: object) -> None:
-        """Refuse a field that is not separable, or says so by `separable`; raises UserError."""
+        """Raise UserError for a field that is not separable, or declares so by `separable`."""
         if not (isinstance(field, SeparableField) and getattr(field, "separable", True)):
             message = (
                 f"integrator {self.name}: expected a separable Hamiltonian T(p) + V(q), whose field offers "

@@ -1,4 +1,4 @@
-"""What the commands do, from plain values: no command line, no configuration, no exit code.
+"""Implementation of the commands on plain values, independent of command line and configuration.
 
-`cli` builds a job's one immutable value from a configuration, and a function here takes it and nothing else.
+`cli` builds a job's one immutable value from a configuration, and a function here receives only that value.
 """

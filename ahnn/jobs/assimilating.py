@@ -1,4 +1,4 @@
-"""A stream of measurements of one object, filtered line by line: what is read, written, saved and shown."""
+"""Assimilation of measurements of one object, line by line: input, output, state and display."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from ahnn.jobs.control_times import warn_of_the_end
 log = logging.getLogger("ahnn")
 
 EVERY = 1000
-"""Lines between two saved states."""
+"""Number of lines between saved states."""
 
 
 def assimilate(stream: Stream) -> None:
-    """Assimilate all lines of a stream, and make the figures and the message of the output.
+    """Assimilate all lines of a stream, and write figures and the ephemeris message.
 
     Raises:
-        UserError: no such file, or one that is not what a saved state was made of.
+        UserError: a missing file, or one that does not match the saved state.
         TrainingError: the filter has diverged.
     """
     options, space, filtering = stream.asked, stream.space, stream.filtering
@@ -53,7 +53,7 @@ def assimilate(stream: Stream) -> None:
         session = Session(filtering, lines, rows, *given)
         view = View(space) if options.watch else None
         gc.collect()
-        gc.freeze()  # no line waits while the collector looks through what is there
+        gc.freeze()  # garbage collection of existing objects must not delay lines
         with view or nullcontext():
             watchers = [one for one in (view, followed) if one is not None]
             session.run(told_to(watchers) if watchers else None)
@@ -73,7 +73,7 @@ def assimilate(stream: Stream) -> None:
 
 
 def told_to(watchers: Sequence[Watcher]) -> Watcher:
-    """Return a watcher that tells several."""
+    """Return a watcher that notifies several watchers."""
 
     def tell(*told: Any) -> None:
         for one in watchers:
@@ -83,7 +83,7 @@ def told_to(watchers: Sequence[Watcher]) -> Watcher:
 
 
 def _pictures(stream: Stream) -> None:
-    """Make figures and message of the output, if they are asked for."""
+    """Write figures and the message of the output, if requested."""
     options, space = stream.asked, stream.space
     if not (options.figures or options.oem):
         return

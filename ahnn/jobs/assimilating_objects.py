@@ -1,4 +1,4 @@
-"""A stream of measurements of many objects, filtered a table at a time."""
+"""Assimilation of measurements of many objects, in tables of lines."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from ahnn.prediction.propagation import Prediction
 log = logging.getLogger("ahnn")
 
 TOGETHER = 100_000
-"""Lines that are taken together, and between two saved states."""
+"""Number of lines per table, and between saved states."""
 
 
 def assimilate_objects(stream: Stream, catalogue: Catalogue) -> None:
-    """Assimilate all lines of a stream of many objects, and write the table of their last states.
+    """Assimilate all lines of a stream of many objects, and write a table of their final states.
 
     Raises:
-        UserError: no such file, or one that is not what a saved state was made of.
-        TrainingError: no line counted.
+        UserError: a missing file, or one that does not match the saved state.
+        TrainingError: no line was accepted.
     """
     options, space = stream.asked, stream.space
     state, objects = None if options.state is None else Path(options.state), options.objects or ""
@@ -64,7 +64,7 @@ def assimilate_objects(stream: Stream, catalogue: Catalogue) -> None:
 
 
 def _last(stream: Stream, catalogue: Catalogue) -> Starts:
-    """Return the last states of objects, as starts of predictions."""
+    """Return the final states of objects, as starts of predictions."""
     times, beliefs = catalogue.beliefs()
     return Starts(
         tuple(catalogue.names), beliefs.mean, torch.from_numpy(times), stream.reference, beliefs.covariance
@@ -81,7 +81,7 @@ def _lines(path: str, state: Path | None) -> Lines | ParquetRows:
 
 
 def _kind(options: AssimilationRequest) -> Format:
-    """Return how estimates are written: as it is asked for, or by the name of the output."""
+    """Return the output format, as requested or by the file extension."""
     suffix = Path(options.output).suffix.lower()
     known: dict[str, Format] = {".json": "json", ".jsonl": "json", ".parquet": "parquet"}
     return options.format or known.get(suffix, "csv")

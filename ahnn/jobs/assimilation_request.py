@@ -1,4 +1,4 @@
-"""What is asked of an assimilation, and all that it needs besides its lines."""
+"""Request and prepared stream of an assimilation."""
 
 from __future__ import annotations
 
@@ -58,16 +58,16 @@ class AssimilationRequest:
 
 
 class Stream(NamedTuple):
-    """All that an assimilation needs besides its lines.
+    """Prepared assimilation, without its lines.
 
     Attributes:
-        asked: where lines come from, and what is made of them.
-        space: of the states.
-        filtering: the filter, or those of many objects.
-        clock: what times mean.
-        reference: of the estimates.
-        name: of what is followed.
-        controls: names of those that forces of the model take.
+        asked: request with input and outputs.
+        space: space of the states.
+        filtering: filter of one object, or filters of many.
+        clock: interpretation of times.
+        reference: reference of the estimates.
+        name: name of the tracked object.
+        controls: names of the model's controls.
         followed: measurements of an orbit determination, in place of lines elsewhere.
     """
 
@@ -82,7 +82,7 @@ class Stream(NamedTuple):
 
 
 def require_places(options: AssimilationRequest) -> None:
-    """Refuse places for output, state, figures and message where something else is; raises UserError."""
+    """Raise UserError for occupied paths of output, state, figures and message."""
     require_together(options)
     if options.output == "-" and (options.figures or options.oem):
         message = "output: expected a FILE, of which figures and oem are made; received -"
@@ -101,7 +101,7 @@ def require_places(options: AssimilationRequest) -> None:
 
 
 def require_together(options: AssimilationRequest) -> None:
-    """Refuse options of one object beside those of many; raises UserError."""
+    """Raise UserError for options of single-object streams combined with those of many objects."""
     if options.objects is None:
         for key in ("states", "shard"):
             if (value := getattr(options, key)) is not None:
@@ -116,7 +116,7 @@ def require_together(options: AssimilationRequest) -> None:
 
 
 def opened(path: str, state: Path | None) -> BinaryIO | Journal:
-    """Return a stream of bytes, standard input with a journal beside its state."""
+    """Open a byte stream; standard input has a journal next to its state."""
     if path != "-":
         return open(path, "rb")
     pipe = cast(Any, sys.stdin.buffer)
@@ -124,7 +124,7 @@ def opened(path: str, state: Path | None) -> BinaryIO | Journal:
 
 
 def _made_at_the_end(options: AssimilationRequest) -> list[Path]:
-    """Return the files that are made of the output."""
+    """Return the files written at the end from the output."""
     names = [f"{name}{suffix}" for name in NAMES for suffix in FORMATS]
     pictures = [Path(options.figures) / name for name in names] if options.figures else []
     return [*pictures, *([Path(options.oem)] if options.oem else [])]

@@ -1,4 +1,4 @@
-"""What is wrong with files of data, shown and drawn before anything is learned from them."""
+"""Data check: defects of data files shown and plotted before training."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from ahnn.jobs.tracking_checking import tracking_check
 
 
 def check(paths: Sequence[Path], figures: Path | None, options: dict[str, Any]) -> None:
-    """Show all that is wrong with files: trajectories together, and each file of tracking data by itself.
+    """Show all defects of files: trajectories jointly, tracking files individually.
 
     Args:
-        paths: of the files.
-        figures: folder for drawings of trajectories, or None.
-        options: mass, gap, and those of `Reading`.
+        paths: paths of the files.
+        figures: folder of figures of trajectories, or None.
+        options: mass, gap, and reading options.
 
     Raises:
-        UserError: something that would spoil a training, or tracking data that cannot be read.
+        UserError: a defect that would spoil a training, or tracking data that cannot be read.
     """
     if figures is not None:
         require_writable(figures)
@@ -52,7 +52,7 @@ def check(paths: Sequence[Path], figures: Path | None, options: dict[str, Any]) 
 
 
 def is_tracking(path: Path) -> bool:
-    """Return whether a file holds no trajectories but tracking data, or what belongs to them."""
+    """Return whether a file contains tracking data or related tables instead of trajectories."""
     try:
         return kind_of(content_of(path), str(path)) in TRACKING
     except UserError:

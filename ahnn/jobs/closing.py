@@ -1,4 +1,4 @@
-"""After the fit: last steps on measurements, what a run keeps of them, and its evaluation."""
+"""Closing stage of a training: final steps on measurements, saved results, and evaluation."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ log = logging.getLogger("ahnn")
 
 
 def conclude_on_measurements(prepared: Prepared) -> float:
-    """Take the last steps, keep weights, uncertainty and where the training was, return the seconds."""
+    """Take the final steps, save weights, uncertainty and training domain, and return the seconds."""
     folder, data, robust = prepared.folder, prepared.data, prepared.robust
     steps = prepared.model.curriculum.closing
     started, best = time.monotonic(), weights_path(folder)
@@ -58,8 +58,8 @@ def judge(prepared: Prepared, seconds: float) -> float:
     """Evaluate the best weights of a run, write and show the results, and return the validation loss.
 
     Args:
-        prepared: the training.
-        seconds: that its steps took.
+        prepared: prepared training.
+        seconds: duration of its steps.
     """
     folder, data, trainer, plan = prepared.folder, prepared.data, prepared.trainer, prepared.assessment
     if data.stages is not None:
@@ -86,7 +86,7 @@ def judge(prepared: Prepared, seconds: float) -> float:
 
 
 def require_converged(folders: Iterable[Path]) -> None:
-    """Raise TrainingError where no prediction of a trained model stays finite; its results are kept."""
+    """Raise TrainingError if no prediction of a trained model stays finite; its results are kept."""
     for folder in folders:
         rows = load_results(folder).rows[:1] if (folder / FILE).exists() else ()
         if any(row.extra["lost"] == 1 for row in rows):

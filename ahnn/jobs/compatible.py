@@ -1,4 +1,4 @@
-"""Whether data, model and trainer fit each other, asked before anything is generated."""
+"""Compatibility checks of data, model and trainer, before data generation."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ log = logging.getLogger(__name__)
 
 
 def check_together(prepared: Prepared) -> None:
-    """Let data, model, trainer and checkpoint refuse each other; model and callbacks do by a method `check`.
+    """Check data, model, trainer and checkpoint for compatibility, including `check` of model and callbacks.
 
     Raises:
-        UserError: names the key of what does not fit.
+        UserError: an incompatibility; the message names the key.
     """
     data, model, trainer = prepared.data, prepared.model, prepared.trainer
     require_learnable(model, data)
@@ -50,20 +50,20 @@ def check_together(prepared: Prepared) -> None:
 
 
 def require_learnable(model: AbstractModel, data: WindowDataModule) -> None:
-    """Refuse dynamics that the data cannot determine, or that the floor cannot be integrated with.
+    """Reject dynamics that the data do not determine, or whose integrator does not support the floor.
 
     Raises:
-        UserError: names the key.
+        UserError: such dynamics; the message names the key.
     """
     if (method := getattr(model.dynamics, "integrator", None)) and data.source.truth is not None:
-        method.require(data.source.truth)  # the floor goes through the integrator of the model
+        method.require(data.source.truth)  # the floor uses the model's integrator
     if data.sensor is not None:
         require_identifiable(model.dynamics, data.sensor, windows=model.curriculum.span is not None)
         require_unbiased(model.about["settings"]["loss"].get("balance", 0.0))
 
 
 def require_equations(model: AbstractModel, data: WindowDataModule) -> None:
-    """Refuse second-order steps whose equations do not fit into memory; raises UserError."""
+    """Raise UserError for second-order steps whose equations do not fit into memory."""
     count = sum(p.numel() for p in model.dynamics.parameters())
     if data.stages is None:
         windows = min(data.batch_size, data.windows_per_epoch or data.batch_size)

@@ -1,4 +1,4 @@
-"""Controls as a user names them, and the times at which a prediction steps under them."""
+"""Controls of predictions, and time steps aligned with their jumps."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from ahnn.runs import Run
 log = logging.getLogger("ahnn")
 
 Controls = str | list[float] | float | None
-"""The path of a file with controls over time, or those that are held all the time; None without."""
+"""Path of a control table, or constant controls; None without controls."""
 
 
 class Moments(NamedTuple):
-    """When a prediction steps, so that no step crosses a jump of a control.
+    """Time steps of a prediction, such that no step crosses a jump of a control.
 
     Attributes:
-        times: (T,) on the clock of the forces, those of the prediction among them.
-        chosen: (K,) which of them are the prediction's.
-        controls: at the times; None where nothing is controlled.
+        times: (T,) times of the forces, including those of the prediction.
+        chosen: (K,) indices of the prediction's times.
+        controls: controls at the times; None without controls.
     """
 
     times: Tensor
@@ -36,16 +36,16 @@ class Moments(NamedTuple):
 
 
 def moments_of(given: Controls, begin: Starts, times: Tensor, run: Run) -> Moments:
-    """Return when a prediction steps.
+    """Determine the time steps of a prediction.
 
     Args:
-        given: controls.
-        begin: the starts.
-        times: (K,) of the prediction, from the start on.
+        given: controls from the user.
+        begin: starts of the prediction.
+        times: (K,) output times, from the start on.
         run: a trained model.
 
     Raises:
-        UserError: controls that are missing or none, or starts at several times under forces of time.
+        UserError: missing or invalid controls, or starts at different times with time-dependent forces.
     """
     every, since = torch.arange(len(times)), begin.times[:1]
     if run.dynamics.clock and bool((begin.times != since).any()):
@@ -64,15 +64,15 @@ def moments_of(given: Controls, begin: Starts, times: Tensor, run: Run) -> Momen
 
 
 def known_controls(given: Controls, since: float, run: Run) -> ControlTable | None:
-    """Return controls over time; None of a model without.
+    """Return controls over time; None for a model without controls.
 
     Args:
-        given: controls.
-        since: when those that are held all the time begin.
+        given: controls from the user.
+        since: begin of constant controls.
         run: a trained model.
 
     Raises:
-        UserError: controls that are missing or none, or of a model without.
+        UserError: missing or invalid controls, or controls for a model without them.
     """
     names = control_names(run)
     if not names:
@@ -95,12 +95,12 @@ def known_controls(given: Controls, since: float, run: Run) -> ControlTable | No
 
 
 def control_names(run: Run) -> tuple[str, ...]:
-    """Return the names of the controls that the forces of a model take."""
+    """Return the names of the controls used by the forces of a model."""
     return run.space.controls if run.dynamics.clock > 1 else ()
 
 
 def warn_of_the_end(given: Controls, table: ControlTable, time: float, near: float = 0.0) -> None:
-    """Say that the last controls of a file were held, where it ends before a time."""
+    """Warn that the last controls of a file were held beyond its end."""
     if isinstance(given, str) and table.times[-1] < time - near:
         told = given, float(table.times[-1]), time
         log.warning("controls: the last of %s, at %g, are held to the end, at %g", *told)

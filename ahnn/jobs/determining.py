@@ -1,4 +1,4 @@
-"""Orbit determination: files read, a fit, what it says of unseen measurements, tables and words."""
+"""Orbit determination job: input files, fit, prediction of unseen measurements, output tables."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ from ahnn.tracking.suspected_mistakes import orientation_mistake, suspected_mist
 log = logging.getLogger("ahnn")
 
 FILES = ("residuals.csv", "unknowns.csv", "orbit.oem", "acceleration.csv", "summary.txt")
-"""What a determination writes."""
+"""Output files of an orbit determination."""
 
 
 @dataclass(frozen=True)
 class OrbitRequest:
-    """What `python -m ahnn.orbit` is asked for.
+    """Request of `python -m ahnn.orbit`.
 
     Attributes:
-        setup: of the determination.
-        folder: that the names of its files start from.
-        out: folder of the results; None writes none.
+        setup: setup of the determination.
+        folder: base folder of its file names.
+        out: output folder, or None.
         title: name of the setup.
     """
 
@@ -56,11 +56,11 @@ class OrbitRequest:
 
 
 def determine(asked: OrbitRequest) -> None:
-    """Determine an orbit, show what was found and write it.
+    """Determine an orbit, show and write the results.
 
     Raises:
-        UserError: what is wrong with a file, or with the folder of the results.
-        TrainingError: no fit.
+        UserError: an invalid file or output folder.
+        TrainingError: the fit failed.
     """
     if asked.out is not None:
         require_writable(asked.out)
@@ -93,7 +93,7 @@ def fit_or_mistake(ready: PreparedOrbit) -> OrbitFit:
 
 
 def headline(title: str, fit: OrbitFit) -> list[str]:
-    """Return what was fitted, and whether the fit ended."""
+    """Return a summary of the fit and its convergence."""
     data = fit.problem.model.data
     count = int(np.isfinite(fit.point.residuals[fit.problem.used]).sum())
     ended = "converged" if fit.converged else "NOT converged"
@@ -110,7 +110,7 @@ def headline(title: str, fit: OrbitFit) -> list[str]:
 
 
 def totals(fit: OrbitFit) -> list[str]:
-    """Return the standard deviation of all residuals of a kind, on a line each."""
+    """Return the standard deviation of all residuals, one line per kind."""
     lines = []
     for kind, (count, sd) in pooled(fit, fit.problem.used).items():
         shown, factor = SHOWN[kind]
@@ -119,7 +119,7 @@ def totals(fit: OrbitFit) -> list[str]:
 
 
 def learned_lines(ready: PreparedOrbit, fit: OrbitFit) -> list[str]:
-    """Return how large the learned acceleration is along the measurements; none where none is learned."""
+    """Return lines on the size of the learned acceleration along the measurements, if any."""
     if ready.learned is None:
         return []
     term, place = ready.learned
@@ -137,7 +137,7 @@ def learned_lines(ready: PreparedOrbit, fit: OrbitFit) -> list[str]:
 
 
 def without_learned(problem: OrbitProblem, ready: PreparedOrbit) -> OrbitProblem:
-    """Return a problem whose learned acceleration stays zero."""
+    """Return a problem without its learned acceleration."""
     assert ready.learned is not None
     term, place = ready.learned
     deviations = problem.unknowns.deviations.copy()
@@ -147,7 +147,7 @@ def without_learned(problem: OrbitProblem, ready: PreparedOrbit) -> OrbitProblem
 
 
 def unseen_lines(ready: PreparedOrbit, fraction: float) -> list[str]:
-    """Fit all but the last measurements, and return how the others were foretold."""
+    """Fit all but the last measurements, and report the prediction of the others."""
     times = ready.problem.model.data.times
     used = np.arange(len(times)) < round((1 - fraction) * len(times))
     part = replace(ready.problem, used=used)
@@ -168,7 +168,7 @@ def compared(ready: PreparedOrbit, arc: SatelliteArc, path: Path) -> list[str]:
     """Return how far an orbit is from that of a prediction (CPF), where both are known.
 
     Raises:
-        UserError: another file, or an orbit of another time.
+        UserError: another format, or no common time span.
     """
     content = read_cpf(path)
     data = ready.problem.model.data
@@ -193,7 +193,7 @@ def compared(ready: PreparedOrbit, arc: SatelliteArc, path: Path) -> list[str]:
 
 
 def write(out: Path, ready: PreparedOrbit, fit: OrbitFit, step: float, lines: list[str]) -> None:
-    """Write the tables, the orbit and what was shown."""
+    """Write the tables, the orbit and the displayed text."""
     write_atomically(out / "residuals.csv", residuals_csv(fit))
     write_atomically(out / "unknowns.csv", unknowns_csv(fit))
     write_oem(out / "orbit.oem", [orbit_ephemeris(fit, step)])

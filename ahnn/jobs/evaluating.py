@@ -1,4 +1,4 @@
-"""Another evaluation of a finished run, into a folder of its own; nothing of a training is built."""
+"""Re-evaluation of a finished run in a separate folder, without building a training."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ log = logging.getLogger("ahnn")
 
 @dataclass(frozen=True, kw_only=True)
 class Reevaluation:
-    """A run and what it is evaluated on.
+    """Run with the data and options of its evaluation.
 
     Attributes:
-        run: with the weights that are evaluated.
-        ckpt: what names these: `best`, `last`, or a path.
-        folder: of the run, in which its evaluations are kept.
-        name: of this one; None takes date and time.
+        run: run with the weights to evaluate.
+        ckpt: selection of the weights: `best`, `last`, or a path.
+        folder: run folder, which contains its evaluations.
+        name: name of this evaluation; None for date and time.
         label: name in tables.
-        splits: the data.
-        plugins: evaluations beside the open-loop one, by name.
-        seed: of the perturbed starts.
+        splits: data splits.
+        plugins: further evaluations by name.
+        seed: seed of the perturbed starts.
         report: options of `ahnn.evaluation.publish`.
     """
 
@@ -51,7 +51,7 @@ class Reevaluation:
 
 
 def evaluate(asked: Reevaluation) -> None:
-    """Evaluate the weights of a run and write the results into a folder of their own."""
+    """Evaluate the weights of a run and write the results to a separate folder."""
     run, splits = asked.run, asked.splits
     robust = robust_of(run)
     note = splits.beside(run.about.get("data"), run.about.get("seen") or ())
@@ -72,10 +72,10 @@ def evaluate(asked: Reevaluation) -> None:
 
 
 def robust_of(run: Run) -> RobustName:
-    """Return the loss of single residuals that a training took, of which its weights tell.
+    """Return the robust loss of a training from the metadata of its weights.
 
     Raises:
-        UserError: there is no such loss.
+        UserError: unknown loss.
     """
     name = flatten(run.about).get("settings.loss.robust", "none")
     if name not in [*ROBUST]:

@@ -1,4 +1,4 @@
-"""The graphs of a trained model in a folder, for other programs."""
+"""Export of a trained model's graphs to a folder, for other programs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ahnn.jobs.named import named_runs
 
 @dataclass(frozen=True, kw_only=True)
 class ExportRequest:
-    """The keys of `python -m ahnn.export`, whose help says what they are."""
+    """Options of `python -m ahnn.export`, described in its help."""
 
     output: str
     run: str | None = None
@@ -24,7 +24,7 @@ def export(asked: ExportRequest) -> None:
     """Write the graphs of a run into a new folder.
 
     Raises:
-        UserError: no such run, one that has no graph, or a folder that exists.
+        UserError: a missing run, one that cannot be exported, or an existing folder.
     """
     (run,) = named_runs(asked.run, asked.pretrained, asked.ckpt)
     files = write_export(run, Path(asked.output))

@@ -1,4 +1,4 @@
-"""The fit of a prepared training: calibration, what is said before the first step, and Lightning's loop."""
+"""Fit of a prepared training: calibration, announcements, and Lightning's loop."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ log = logging.getLogger("ahnn")
 
 
 def fit(prepared: Prepared) -> float:
-    """Train and return the seconds that the steps took."""
+    """Train and return the duration of the steps in seconds."""
     trainer = prepared.trainer
     calibrate(prepared)
     if prepared.model.dynamics.begins_known and prepared.checkpoint is None:
         trainer.num_sanity_val_steps = math.inf  # known physics is the first candidate for the best weights
     if trainer.is_global_zero:
         announce(prepared)
-        # What cannot take a step has been refused.
+        # Steps without any effect have been rejected before.
         write_atomically(prepared.folder / "config.yaml", prepared.config)
     started = time.monotonic()
     trainer.fit(prepared.model, prepared.data, ckpt_path=prepared.checkpoint)
@@ -34,14 +34,14 @@ def fit(prepared: Prepared) -> float:
 
 
 def calibrate(prepared: Prepared) -> None:
-    """Fit a model's scalings to the training split, and note what it is."""
+    """Fit a model's scalings to the training split, and record its metadata."""
     data, model, trainer = prepared.data, prepared.model, prepared.trainer
     statistics = data.statistics()
     model.calibrate(statistics)
     if prepared.weights is not None and prepared.checkpoint is None:
         begin_at(model, prepared.weights)
     model.to(trainer.strategy.root_device)
-    # Between measurements the integrator may take shorter steps, and the dynamics are learned for these.
+    # Between measurements the integrator may use shorter steps, for which the dynamics are learned.
     dt = min(statistics.dt, math.inf if data.sensor is None else data.instrument.longest)
     domain = find_domain(model.dynamics.frozen(), data.examples()).about()
     model.learns_from(dt=dt, domain=domain, seen=data.splits.seen())
@@ -50,10 +50,10 @@ def calibrate(prepared: Prepared) -> None:
 
 
 def begin_at(model: AbstractModel, run: str) -> None:
-    """Give a model the weights of a run, or of a shipped model, to train on with a schedule of its own.
+    """Initialise a model with the weights of a run or shipped model, for a new training schedule.
 
     Raises:
-        UserError: they belong to other dynamics.
+        UserError: the weights belong to other dynamics.
     """
     trained = load(run).trained
     require_same(f"weights {run}", {"dynamics": model.dynamics.spec}, {"dynamics": trained.spec})
@@ -61,7 +61,7 @@ def begin_at(model: AbstractModel, run: str) -> None:
 
 
 def announce(prepared: Prepared) -> None:
-    """Say what is odd about the data, how many optimiser steps are left, and about how long they take."""
+    """Log remarks on the data, the remaining optimiser steps, and the runtime estimate."""
     data, model, trainer = prepared.data, prepared.model, prepared.trainer
     if remark := data.remark():
         log.warning(remark)

@@ -1,4 +1,4 @@
-"""The measurements that a filter follows after an orbit determination, and what they told."""
+"""Measurements filtered after an orbit determination, and their innovations."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ahnn.tracking.tracking_data import KINDS, TrackingData
 
 @dataclass(eq=False)
 class FollowedMeasurements:
-    """Measurements of a satellite as lines of a stream; told of each that counted.
+    """Measurements of a satellite as lines of a stream; notified of each accepted one.
 
     Attributes:
         data: all, those that were fitted before among them.
@@ -56,7 +56,7 @@ class FollowedMeasurements:
         return [int(k) for k in np.flatnonzero(seen)]
 
     def __call__(self, number: int, reading: Reading, estimate: Estimate, counts: Counter[str]) -> None:
-        """Keep what a reading told; see `ahnn.assimilation.session.Watcher`."""
+        """Record the innovation of a reading; see `ahnn.assimilation.session.Watcher`."""
         del number, counts
         if estimate.innovation is None or estimate.outcome != "taken":
             return
@@ -67,7 +67,7 @@ class FollowedMeasurements:
                 self.told.setdefault((station, kind), []).append((reading.time, e, sd))
 
     def lines(self, moments: Belief, time: float) -> list[str]:
-        """Return a table of the innovations, and what is known at the end of all but the orbit."""
+        """Return a table of the innovations, and the final estimates of all but the orbit."""
         mean, deviations = moments.mean[0].tolist(), moments.chol[0].norm(dim=-1).tolist()
         known = {name: (mean[k], deviations[k]) for k, name in enumerate(self.names)}
         rows = []

@@ -1,4 +1,4 @@
-"""The runs that a command names: folders, or a model that comes with the package."""
+"""Loading of the runs named by a command: folders or a shipped model."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from ahnn.runs import Run
 
 
 def named_runs(run: str | list[str] | None, pretrained: str | None, ckpt: str) -> list[Run]:
-    """Return the runs, or the shipped model, that a command names.
+    """Load the runs, or the shipped model, named by a command.
 
     Raises:
-        UserError: neither or both are named, there is no such run, or their states differ.
+        UserError: neither or both are named, a run is missing, or their states differ.
     """
     if (not run and pretrained is None) or (run and pretrained is not None):
         message = f"run: expected run=DIR or pretrained=NAME; received {'both' if run else 'neither'}"

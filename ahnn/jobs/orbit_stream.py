@@ -48,7 +48,7 @@ Mask = NDArray[np.bool_]
 
 
 class OrbitFollowing(NamedTuple):
-    """What an online orbit determination is made of.
+    """Parts of an online orbit determination.
 
     Attributes:
         setup: of the determination.
@@ -69,7 +69,7 @@ def orbit_stream(asked: AssimilationRequest, orbit: OrbitFollowing) -> Stream:
     """Return the stream of measurements that goes on where an orbit is known.
 
     Raises:
-        UserError: what is wrong with a file or an option.
+        UserError: an invalid file or option.
         TrainingError: no fit.
     """
     ready, belief, rows = fitted_start(asked, orbit) if asked.start == "fit" else given_start(asked, orbit)
@@ -139,7 +139,7 @@ def sensors_of(
 def fitted_start(
     asked: AssimilationRequest, orbit: OrbitFollowing
 ) -> tuple[PreparedOrbit, OrbitBelief, Mask]:
-    """Fit the first measurements; return the problem, what is known at the last of them, and the others.
+    """Fit the first measurements; return the problem, the belief at the last of them, and the others.
 
     Raises:
         UserError: it is not said how many.
@@ -163,13 +163,13 @@ def fitted_count(wanted: float | None, held_out: float, count: int, *, whole: bo
     """Return how many of so many measurements are fitted.
 
     Args:
-        wanted: number, or fraction below 1; None takes what is not held out.
+        wanted: number, or fraction below 1; None for all that are not held out.
         held_out: fraction.
         count: of all.
         whole: whether all of them may be.
 
     Raises:
-        UserError: nobody says how many are left.
+        UserError: the number is undetermined.
     """
     if wanted is None and not (held_out or whole):
         message = (
@@ -182,7 +182,7 @@ def fitted_count(wanted: float | None, held_out: float, count: int, *, whole: bo
 
 
 def given_start(asked: AssimilationRequest, orbit: OrbitFollowing) -> tuple[PreparedOrbit, OrbitBelief, Mask]:
-    """Return the problem that begins with a given start, what is known there, and all measurements.
+    """Return the problem with a given start, the belief there, and all measurements.
 
     Raises:
         UserError: no start with its covariance, or an unknown of which nothing is known.

@@ -1,4 +1,4 @@
-"""Predictions by trained models: what a user asks for, read, predicted, written and shown."""
+"""Prediction job: input, propagation, output and summary."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ log = logging.getLogger("ahnn")
 
 @dataclass(frozen=True, kw_only=True)
 class PredictionRequest:
-    """The keys of `python -m ahnn.predict`, whose help says what they are."""
+    """Options of `python -m ahnn.predict`, described in its help."""
 
     start: str | list[Any]
     duration: str | float
@@ -40,10 +40,10 @@ class PredictionRequest:
 
 
 def predict(asked: PredictionRequest) -> None:
-    """Predict, write what is asked for and show a summary.
+    """Predict, write the requested files and show a summary.
 
     Raises:
-        UserError: no such run, starts that are no states of it, or an output that cannot be written.
+        UserError: a missing run, invalid starts, or an output that cannot be written.
         TrainingError: a predicted state is not finite.
     """
     runs = named_runs(asked.run, asked.pretrained, asked.ckpt)
@@ -65,7 +65,7 @@ def predict(asked: PredictionRequest) -> None:
         output.require_figure(Path(asked.figure))
     if asked.output is not None and isinstance(asked.start, str):
         output.require_other(Path(asked.output), Path(asked.start))
-    if not all(run.uncertainty for run in runs):  # the mean of what some know would be of nobody
+    if not all(run.uncertainty for run in runs):  # a mean over only some of the models would be meaningless
         runs = [replace(run, uncertainty=None) for run in runs]
     known, (whole, chosen, controls) = begin.covariances, moments
     found = together(

@@ -1,4 +1,4 @@
-"""Between configuration and training: one value that says all that the training and its evaluation need."""
+"""Prepared training: one value with all inputs of training and evaluation."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from ahnn.shooting.robust import RobustName
 
 
 class Assessment(NamedTuple):
-    """How the trained model is evaluated.
+    """Options of the evaluation after training.
 
     Attributes:
-        plugins: evaluations beside the open-loop one, by name.
-        seed: of the perturbed starts.
+        plugins: further evaluations by name.
+        seed: seed of the perturbed starts.
         report: options of `ahnn.evaluation.publish`.
-        searched: what a search varies, for TensorBoard's comparison of runs.
+        searched: keys varied by a search, for TensorBoard's comparison of runs.
     """
 
     plugins: Mapping[str, EvaluationPlugin]
@@ -33,21 +33,21 @@ class Assessment(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Prepared:
-    """A training whose parts fit each other; nothing is generated or written yet.
+    """Training with compatible parts, before anything is generated or written.
 
     Attributes:
         label: name in tables.
-        seed: of weights and batches.
-        folder: of the run.
+        seed: seed of weights and batches.
+        folder: run folder.
         config: content of its config.yaml.
-        data: source, splits, sensor, and how batches are drawn.
-        model: dynamics, objectives, optimiser and scheduler, and what its checkpoints say of it.
+        data: source, splits, sensor, and batch sampling.
+        model: dynamics, objectives, optimiser and scheduler, and checkpoint metadata.
         trainer: epochs, devices, callbacks, loggers.
-        checkpoint: to resume from; None begins.
-        weights: a run, or a shipped model, whose weights a new training begins at.
-        recorded: whether optimiser steps on a GPU may be recorded.
-        robust: loss of single residuals of measurements.
-        assessment: of the trained model.
+        checkpoint: checkpoint to resume from; None for a new training.
+        weights: run or shipped model that provides initial weights.
+        recorded: whether optimiser steps on a GPU may be recorded as CUDA graphs.
+        robust: robust loss of single measurement residuals.
+        assessment: evaluation options of the trained model.
     """
 
     label: str

@@ -1,4 +1,4 @@
-"""What is in tracking data, coordinates of stations and orientations of the Earth, and what is wrong."""
+"""Check of tracking data, station coordinates and Earth orientation files."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from ahnn.tracking.tracking_data import TrackingData
 
 EVENTS = {"receive": "reception", "transmit": "transmission", "bounce": "reflection"}
 LISTED = 20
-"""Outliers of a series that are listed."""
+"""Maximum number of listed outliers per series."""
 
 
 def tracking_check(path: Path) -> tuple[list[Finding], RenderableType]:
-    """Return what is wrong with a file, and what to show of it; raises UserError if it is not there."""
+    """Return the defects of a file, and a summary; raises UserError if it is missing."""
     kind = kind_of(content_of(path), str(path))
     said: list[Fault | Remark] = []
     shown: list[RenderableType] = []
@@ -50,14 +50,14 @@ def tracking_check(path: Path) -> tuple[list[Finding], RenderableType]:
 
 
 def _stations(path: Path) -> tuple[str, str]:
-    """Return what a SINEX file holds, and what of it is not used."""
+    """Summarise a SINEX file and its unused content."""
     found = sinex_stations(decoded(content_of(path), path), str(path))
     holds = f"positions of stations: {len(found.solutions)}, eccentricities: {len(found.eccentricities)}"
     return holds, ", ".join(found.unused) or "nothing"
 
 
 def _days(path: Path) -> tuple[str, str]:
-    """Return what a Bulletin B holds, and what of it is not used."""
+    """Summarise a Bulletin B and its unused content."""
     found = read_bulletins(path)
     last = found.mjd[found.final][-1] if found.final.any() else float("nan")
     ends = f"MJD {found.mjd[0]:.0f} to {found.mjd[-1]:.0f}, final until {last:.0f}"
@@ -66,7 +66,7 @@ def _days(path: Path) -> tuple[str, str]:
 
 
 def _table(path: Path, data: TrackingData, series: list[SeriesSurvey]) -> RenderableType:
-    """Return who measured what, when and how often."""
+    """Format a table of stations, kinds, times and numbers of measurements."""
     whose = f"satellite {data.object}" if data.object else "a satellite that it does not name"
     head = f"{path.name}: {len(data.times)} measurements of {whose}, by times of {EVENTS[data.event]} in UTC"
     table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
@@ -84,14 +84,14 @@ def _spelled(data: TrackingData, time: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Return a time in words, such as 13.2 h."""
+    """Format a duration, such as 13.2 h."""
     units = (("d", 86400.0), ("h", 3600.0), ("min", 60.0))
     name, size = next(((name, size) for name, size in units if seconds >= 2 * size), ("s", 1.0))
     return f"{seconds / size:.1f} {name}"
 
 
 def _findings(path: Path, data: TrackingData, series: list[SeriesSurvey]) -> list[Finding]:
-    """Return what stands out of data, and what of the file is not used."""
+    """Return findings on outliers and unused content."""
     found = [Finding("note", str(path), 0, "", one, "Nothing") for one in data.remarks]
     for one in series:
         for places, what, remedy in (

@@ -1,7 +1,7 @@
-"""What instruments give: measurement models, what is out of their view, and when they measure.
+"""Measurement models, their fields of view, and measurement schedules.
 
-A model maps states to measurements and knows what a difference of two means. It is any object with the
-members of `Measurement`: one class, and one YAML file that names it.
+A model maps states to measurements and defines their differences. It is any object with the members of
+`Measurement`: one class, and one YAML file that names it.
 """
 
 from __future__ import annotations

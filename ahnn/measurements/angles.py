@@ -1,4 +1,4 @@
-"""Angles are angles in every difference of two measurements."""
+"""Residuals of measurements, with wrapped angles."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from ahnn.measurements.base import Measurement
 from ahnn.numbers import described
 
 TURNS = {"rad": 2.0 * math.pi, "deg": 360.0, "°": 360.0}
-"""A turn in each unit of angles."""
+"""Full turn in each unit of angles."""
 
 
 @runtime_checkable
 class HasResidual(Protocol):
-    """A measurement model whose differences are no plain ones."""
+    """Measurement model with its own residuals."""
 
     def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return what y is more than y_pred, shape (..., M); angles are wrapped afterwards."""
+        """Return y - y_pred, shape (..., M); angles are wrapped afterwards."""
         ...
 
 
 def periods(measurement: Measurement) -> tuple[float, ...]:
-    """Return the period of each component that is an angle, inf of the others.
+    """Return the period of each component that is an angle, inf for the others.
 
     Raises:
-        ValueError: a model that declares others than M positive numbers.
+        ValueError: declared periods that are not M positive numbers.
     """
     declared = getattr(measurement, "periods", None)
     if declared is None:
@@ -44,10 +44,10 @@ def periods(measurement: Measurement) -> tuple[float, ...]:
 def residual(measurement: Measurement, y: Tensor, y_pred: Tensor) -> Tensor:
     """Return y - y_pred, shape of y (..., M), angles wrapped to half a turn on either side of zero.
 
-    Every residual is formed here: of filters, smoothers, fits and forecasts.
+    Used for all residuals: of filters, smoothers, fits and forecasts.
 
     Raises:
-        ValueError: the model has differences of its own, of another shape.
+        ValueError: the model's own residuals have a wrong shape.
     """
     if not isinstance(measurement, HasResidual):
         return wrapped(y - y_pred, periods(measurement))
@@ -62,7 +62,7 @@ def residual(measurement: Measurement, y: Tensor, y_pred: Tensor) -> Tensor:
 
 
 class Differing:
-    """What the models here have in common: `residual` as a method."""
+    """Mixin of measurement models: `residual` as a method."""
 
     def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
         """Return y - y_pred, shape (..., M), angles wrapped."""
@@ -70,7 +70,7 @@ class Differing:
 
 
 def nearest(measurement: Measurement, y: Tensor, y_pred: Tensor) -> Tensor:
-    """Return y (..., M) with angles turned to within half a turn of y_pred; the others bit for bit."""
+    """Return y (..., M) with angles turned to within half a turn of y_pred; other components unchanged."""
     turns = periods(measurement)
     if all(map(math.isinf, turns)):
         return y
@@ -89,22 +89,22 @@ def wrapped(difference: Tensor, periods: tuple[float, ...]) -> Tensor:
 
 
 def wrap(angle: Tensor, turn: float | Tensor = TURNS["rad"]) -> Tensor:
-    """Return the angle in (-turn / 2, turn / 2]; one that is already there is returned bit for bit."""
+    """Return the angle in (-turn / 2, turn / 2]; angles already in range are unchanged."""
     turned = angle - turn * torch.round(angle / turn)
-    # Rounding may have put it just outside.
+    # Rounding may leave it just outside.
     turned = torch.where(turned > 0.5 * turn, turned - turn, turned)
     return torch.where(turned <= -0.5 * turn, turned + turn, turned)
 
 
 def continuous(values: Tensor, periods: tuple[float, ...]) -> Tensor:
-    """Return samples (B, T, M) whose angles go on where they were read within a turn.
+    """Unwrap the angles in samples (B, T, M).
 
-    A step counts as a turn where it is more than half of one and most steps are less than an eighth: samples
-    that come rarely do not say which way an angle went, and stay.
+    A step counts as a wrap if it exceeds half a turn and most steps are below an eighth: sparse samples do
+    not determine the direction of an angle, and are unchanged.
 
     Args:
-        values: NaN where one is missing.
-        periods: of the M components, inf of what is no angle.
+        values: samples, NaN where missing.
+        periods: periods of the M components, inf for components that are not angles.
     """
     found = values.clone()
     for c, turn in enumerate(periods):

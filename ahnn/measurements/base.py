@@ -1,4 +1,4 @@
-"""What a measurement model is, and what it sees of a state."""
+"""Measurement model protocols, and simulation of observations."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import torch
 from torch import Tensor
 
 Time = float | Tensor
-"""One time for all states, or a tensor (...) with a time for each."""
+"""A common time for all states, or a tensor (...) with a time for each."""
 
 
 class Measurement(Protocol):
-    """Map of states to measurements; see `ahnn.measurements.angles` for what their difference means.
+    """Map of states to measurements; see `ahnn.measurements.angles` for residuals.
 
     Attributes:
-        names: of the M components.
-        units: of the M components. Those in rad or deg are angles, unless the model has `periods` of the M
-            components, inf of one that does not come again, such as a counter of turns.
+        names: names of the M components.
+        units: units of the M components. Those in rad or deg are angles, unless the model declares `periods`
+            of the M components, inf for a non-periodic one, such as a turn counter.
     """
 
     @property
@@ -37,25 +37,25 @@ class Measurement(Protocol):
 
 @runtime_checkable
 class Sighted(Protocol):
-    """A measurement model that does not see every state."""
+    """Measurement model with a limited field of view."""
 
     def in_view(self, x: Tensor, t: Time) -> Tensor:
-        """Return which of the M numbers are measured of the states x (..., D) at time t, (..., M) bool."""
+        """Return the mask of measured components at states x (..., D) and time t, (..., M) bool."""
         ...
 
 
 @runtime_checkable
 class Locating(Protocol):
-    """A measurement model that positions can be read off: where a fit of unknown states may begin."""
+    """Measurement model from which positions can be estimated, as initial values of fits."""
 
     def locate(self, y: Tensor, t: Time) -> Tensor:
-        """Return the positions (..., n), or the whole states (..., 2n), that give y (..., M) at time t."""
+        """Return the positions (..., n), or the whole states (..., 2n), that produce y (..., M) at time t."""
         ...
 
 
 @runtime_checkable
 class Sloped(Protocol):
-    """A measurement model that knows its derivatives, and need not be differentiable by torch."""
+    """Measurement model with its own derivatives, which need not be differentiable by torch."""
 
     def slope(self, x: Tensor, t: Time) -> Tensor:
         """Return the derivatives (B, M, D) by the states x (B, D) at time t."""
@@ -63,15 +63,15 @@ class Sloped(Protocol):
 
 
 def observe(measurement: Measurement, x: Tensor, t: Time) -> Tensor:
-    """Return what an instrument gives: its measurements (..., M), NaN of states that are out of its view.
+    """Return the measurements (..., M) of a sensor, NaN for states outside its field of view.
 
-    The model itself, `measurement(x, t)`, has a value for every state: a filter needs it for sigma points
-    that lie behind the horizon while the satellite does not.
+    The model itself, `measurement(x, t)`, is defined for every state: a filter needs it for sigma points
+    below the horizon while the satellite is above.
 
     Args:
-        measurement: the model; one without `in_view` sees every state.
+        measurement: measurement model; without `in_view` the view is unlimited.
         x: (..., D) states.
-        t: time, or one for each state.
+        t: common time, or one per state.
     """
     y = measurement(x, t)
     if isinstance(measurement, Sighted):
@@ -80,10 +80,10 @@ def observe(measurement: Measurement, x: Tensor, t: Time) -> Tensor:
 
 
 def check_state(x: Tensor, least: int, who: str) -> None:
-    """Refuse states with too few components.
+    """Check the number of state components.
 
     Raises:
-        ValueError: x has fewer than `least` components; begins with `who`.
+        ValueError: x has fewer than `least` components; the message begins with `who`.
     """
     if x.shape[-1] < least:
         message = f"{who}: expected states of at least {least} components; received {tuple(x.shape)}"

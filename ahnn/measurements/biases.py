@@ -1,4 +1,4 @@
-"""What is believed of the biases of a sensor, as people say it."""
+"""Prior of sensor biases from user input."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ahnn.measurements.noise import for_each_component
 
 
 class Biases(NamedTuple):
-    """Biases of the M components of what a sensor measures; see `ahnn.estimation.sensor_error`.
+    """Biases of the M measured components of a sensor; see `ahnn.estimation.sensor_error`.
 
     Attributes:
-        deviations: (M,) standard deviations, 0 of a component without bias.
-        memories: (M,) time constants, in the unit of time; inf for a bias that is constant.
+        deviations: (M,) standard deviations, 0 for a component without bias.
+        memories: (M,) time constants, in the unit of time; inf for a constant bias.
     """
 
     deviations: tuple[float, ...]
@@ -30,17 +30,17 @@ class Biases(NamedTuple):
         memory: float | Sequence[float] | None,
         who: str = "",
     ) -> Biases | None:
-        """Return the biases of a sensor, None where it has none.
+        """Build the biases of a sensor, or None.
 
         Args:
-            measurement: the model, with M components.
-            deviations: one number for all components, one for each, or as `noise_deviations` takes them;
-                0 where there is no bias; None for none.
-            memory: time constants, likewise; None for constant biases.
-            who: what stands before the keys in messages.
+            measurement: measurement model with M components.
+            deviations: common number, one per component, or as in `noise_deviations`; 0 for no bias; None for
+                no biases.
+            memory: time constants, in the same form; None for constant biases.
+            who: prefix of keys in messages.
 
         Raises:
-            UserError: another count, numbers of the wrong sign, or a memory of no bias.
+            UserError: wrong count, wrong sign, or a memory without bias.
         """
         names = measurement.names
         if deviations is None:
@@ -66,7 +66,7 @@ class Biases(NamedTuple):
 
 
 def numbers_of(given: Any) -> list[Any]:
-    """Return one number or a list of them as a list; empty where they are none."""
+    """Return one number or a list of them as a list; empty for other values."""
     values = [*given] if isinstance(given, Sequence) and not isinstance(given, str | bytes) else [given]
     plain = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
     return values if plain else []

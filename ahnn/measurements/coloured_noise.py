@@ -1,4 +1,4 @@
-"""First-order coloured noise beside white noise: what whitens it, at whatever times measurements come.
+"""Whitening of first-order coloured plus white noise, for measurements at arbitrary times.
 
 The noise of a component, in its standard deviations, is w + c: white noise of variance 1 - f, and first-order
 Gauss-Markov noise of variance f, which correlates by exp(-t / memory) (Tapley, Schutz & Born 2004, section
@@ -56,7 +56,7 @@ class Whitening(NamedTuple):
         return cls(kept, torch.stack(gains, dim=1), torch.stack(scales, dim=1))
 
     def __call__(self, rows: Tensor) -> Tensor:
-        """Return whitened rows (B, T, M, ...); what was not measured becomes 0."""
+        """Return whitened rows (B, T, M, ...); missing values become 0."""
         kept, gain, scale = (_widened(part, rows) for part in self)
         coloured, found = torch.zeros_like(rows[:, 0]), []
         for k, row in enumerate(rows.unbind(1)):

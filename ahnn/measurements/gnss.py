@@ -1,4 +1,4 @@
-"""Pseudoranges to navigation satellites, whose positions are constant or interpolated from a table."""
+"""Pseudoranges to navigation satellites with constant or tabulated positions."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from ahnn.numbers import as_float64, described
 
 
 class GnssRange(Differing):
-    """Pseudoranges to N satellites whose positions are given, in the frame and unit of the state.
+    """Pseudoranges to N satellites at given positions, in the frame and unit of the state.
 
-    Between the rows of a table a polynomial of the stated order is laid through the rows nearest to the time,
-    see `ahnn.measurements.interpolation`; at the rows' own times it is the table.
+    Between table rows a polynomial of the given order through the nearest rows is used, see
+    `ahnn.measurements.interpolation`; at row times the result equals the table.
 
     Args:
         positions: (N, 3), or a (T, N, 3) table with one row for each of `times`.
         times: (T,) times of the table, increasing; None for constant positions.
-        order: of the interpolation, at least 1; the table needs at least order + 1 rows.
-        clock: index of the state component that holds the receiver's clock error as a length; None if the
-            ranges are free of it. Counts from the end where it is negative.
-        unit: of a range.
+        order: order of the interpolation, at least 1; the table needs at least order + 1 rows.
+        clock: index of the state component that contains the receiver's clock error as a length, negative to
+            count from the end; None without clock error.
+        unit: unit of a range.
 
     Raises:
-        ValueError: if positions or times are not finite, their shapes do not fit, times do not increase, the
-            table is too short for the order, a measurement is asked for at a time outside of the table, or a
-            state has no component `clock`.
+        ValueError: positions or times are not finite, shapes are incompatible, times do not increase, the
+            table is too short for the order, a time is outside the table, or a state has no component
+            `clock`.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""A ground station that sees a satellite, whose state is [position, momentum] in an inertial frame.
+"""Ground station observing a satellite with state [position, momentum] in an inertial frame.
 
 Light time, refraction and polar motion are not modelled.
 """
@@ -26,31 +26,31 @@ EARTH_FLATTENING = 1.0 / 298.257223563
 
 
 Degrees = Annotated[float, Within(-90, 90)]
-"""A latitude or an elevation."""
+"""Latitude or elevation in degrees."""
 
 
 @checked
 class GroundStation(Differing):
-    """Range, azimuth, elevation and, if asked for, range-rate seen from a point on a rotating Earth.
+    """Range, azimuth, elevation and optionally range-rate from a point on the rotating Earth.
 
-    Azimuth counts from north through east, in (-pi, pi]; elevation from the plane normal to the ellipsoid's
-    normal, in [-pi/2, pi/2]. Conversions: Vallado 2013, algorithms 27 (range, azimuth, elevation) and 51
-    (geodetic site coordinates).
+    Azimuth is measured from north through east, in (-pi, pi]; elevation from the plane normal to the
+    ellipsoid's normal, in [-pi/2, pi/2]. Conversions: Vallado 2013, algorithms 27 (range, azimuth, elevation)
+    and 51 (geodetic site coordinates).
 
     Args:
         latitude: geodetic, degrees.
         longitude: degrees, positive east.
         height: above the ellipsoid, km.
-        range_rate: also measure the range-rate.
+        range_rate: whether to measure the range-rate.
         earth_angle: angle of the Greenwich meridian from the inertial x axis at t = 0, rad; None is 0.
-        rotation_rate: of the Earth, rad/s.
-        radius: equatorial, km.
-        flattening: of the ellipsoid; 0 for a sphere.
-        mass: of the satellite in kg; the range-rate is that of the velocity p / mass.
-        min_elevation: degrees; what stands lower is out of view. 0 is the horizon, -90 sees everything.
+        rotation_rate: rotation rate of the Earth, rad/s.
+        radius: equatorial radius, km.
+        flattening: flattening of the ellipsoid; 0 for a sphere.
+        mass: mass of the satellite in kg; the range-rate is that of the velocity p / mass.
+        min_elevation: minimum elevation in degrees. 0 is the horizon, -90 means unlimited view.
 
     Raises:
-        UserError: a number is not finite or beyond its limits.
+        UserError: a number is not finite or outside its limits.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class GroundStation(Differing):
     def __call__(self, x: Tensor, t: Time) -> Tensor:
         """Return [range km, azimuth rad, elevation rad(, range-rate km/s)], (..., M), of x (..., 6).
 
-        Of states behind the horizon too: see `in_view`.
+        Also defined for states below the horizon: see `in_view`.
         """
         check_state(x, 6 if len(self.names) == 4 else 3, "GroundStation")
         site, axes, drift = self._frame(x, t)
@@ -99,7 +99,7 @@ class GroundStation(Differing):
         return torch.stack(parts, dim=-1)
 
     def locate(self, y: Tensor, t: Time) -> Tensor:
-        """Return the positions (..., 3) in km that are seen as y (..., M)."""
+        """Return the positions (..., 3) in km that correspond to y (..., M)."""
         distance, azimuth, elevation = y[..., :3].unbind(-1)
         level = distance * elevation.cos()
         local = torch.stack((level * azimuth.sin(), level * azimuth.cos(), distance * elevation.sin()), -1)
@@ -107,14 +107,14 @@ class GroundStation(Differing):
         return site + (axes @ local.unsqueeze(-1)).squeeze(-1)
 
     def in_view(self, x: Tensor, t: Time) -> Tensor:
-        """Return whether the states x (..., D) stand at the least elevation or higher, (..., M) bool."""
+        """Return whether the states x (..., D) are at or above the minimum elevation, (..., M) bool."""
         seen = self(x, t)
         return (seen[..., 2:3] >= self.min_elevation).expand_as(seen)
 
     def _frame(self, like: Tensor, t: Time) -> tuple[Tensor, Tensor, Tensor]:
         """Return the station's position, its axes east, north, up as columns, and its velocity, inertial.
 
-        Shapes (..., 3), (..., 3, 3) and (..., 3), the leading ones those of t.
+        Shapes (..., 3), (..., 3, 3) and (..., 3), leading dimensions as for t.
         """
         angle = self.longitude + self.earth_angle + self.rotation_rate * torch.as_tensor(t, dtype=like.dtype)
         cosine, sine = angle.cos(), angle.sin()

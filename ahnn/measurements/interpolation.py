@@ -1,4 +1,4 @@
-"""Interpolation of a table in time by polynomials of a stated order."""
+"""Interpolation of a table in time by polynomials of a given order."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import torch
 from torch import Tensor
 
 TOLERANCE = 1e-9
-"""Relative difference of two times that counts as rounding: times are sums of steps."""
+"""Relative tolerance for equal times, which are sums of steps with rounding errors."""
 
 
 def lagrange(times: Tensor, values: Tensor, t: float, order: int) -> Tensor:
-    """Return a table's value at time t from the polynomial through the order + 1 rows nearest to it.
+    """Interpolate a table at time t by the polynomial through the nearest order + 1 rows.
 
-    At a row's own time it is that row, bit for bit. Between rows that are h apart the error is at most
+    At a row time the result is that row, bit for bit. Between rows with spacing h the error is at most
 
         max |f^(n+1)| |(t - t_0) ... (t - t_n)| / (n+1)!,    n = order,
 
@@ -29,7 +29,7 @@ def lagrange(times: Tensor, values: Tensor, t: float, order: int) -> Tensor:
         order: degree of the polynomial, at least 1.
 
     Raises:
-        ValueError: if t lies outside of the table.
+        ValueError: t is outside the table.
     """
     distance = (times - t).abs()
     nearest = int(distance.argmin())

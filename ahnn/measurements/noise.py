@@ -1,4 +1,4 @@
-"""Standard deviations of what a sensor measures, as people give them."""
+"""Standard deviations of measurement noise from user input."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ahnn.measurements.several import Several
 
 
 def noise_deviations(measurement: Measurement, given: float | Sequence[float] | None, who: str) -> Tensor:
-    """Return the standard deviations (M,) of measurements.
+    """Expand standard deviations to the M components of a measurement, (M,).
 
     Args:
         measurement: the model, with M components.
@@ -26,7 +26,7 @@ def noise_deviations(measurement: Measurement, given: float | Sequence[float] | 
         who: the parameter, for messages.
 
     Raises:
-        UserError: another count, or numbers that are not positive and finite.
+        UserError: wrong count, or numbers that are not positive and finite.
     """
     values, states = for_each_component(measurement, given), isinstance(measurement, State)
     if len(values) == len(measurement.names) and all(0.0 < v < math.inf for v in values):
@@ -40,7 +40,7 @@ def noise_deviations(measurement: Measurement, given: float | Sequence[float] | 
 
 
 def for_each_component(measurement: Measurement, given: float | Sequence[float] | None) -> list[float]:
-    """Return numbers as `noise_deviations` takes them, one for each component; other counts as they are."""
+    """Expand numbers as in `noise_deviations` to one per component; other counts are unchanged."""
     size, states = len(measurement.names), isinstance(measurement, State)
     given = getattr(measurement, "deviations", None) if given is None else given
     values = [*given] if isinstance(given, Sequence) else [] if given is None else [given]

@@ -1,4 +1,4 @@
-"""What of the noise of measurements is unknown before a training, and what the training found."""
+"""Unknown noise parameters of measurements before a training, and their estimates after it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TOLD = 0.5
 
 
 class UnknownNoise(NamedTuple):
-    """What a training estimates beside the dynamics.
+    """Noise parameters estimated by a training in addition to the dynamics.
 
     Attributes:
         sizes: whether standard deviations.
@@ -43,10 +43,10 @@ class NoiseEstimate:
 
     Attributes:
         deviations: standard deviations.
-        stated: what they were said to be; empty where they were not estimated.
-        fractions: of the variance that is coloured; empty where nobody looked.
+        stated: stated values; empty if not estimated.
+        fractions: coloured fractions of the variance; empty if not estimated.
         memories: time constants of that part.
-        bias: what readings are more than what is true; empty where nobody looked.
+        bias: offset of readings from the truth; empty if not estimated.
         bias_sd: standard deviations of these.
         prior_sd: standard deviations of biases before anything was measured, 0 where there is none.
     """
@@ -86,7 +86,7 @@ class NoiseEstimate:
         return asdict(self)
 
     def sentences(self, names: tuple[str, ...], units: tuple[str, ...]) -> list[str]:
-        """Return in words what was found of numbers with these names and units."""
+        """Describe the estimates for numbers with given names and units."""
         said = list[str]()
         if self.stated:
             each = [

@@ -1,4 +1,4 @@
-"""What a sensor saw of trajectories: values at times, never to be taken for states."""
+"""Observations of trajectories: measured values at times, distinct from states."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from torch import Tensor
 
 
 class Observations(NamedTuple):
-    """Measurements of B trajectories on a common number of rows.
+    """Measurements of B trajectories, padded to a common number of rows.
 
     Attributes:
-        values: (B, T, M) float64; NaN where nothing was measured, single components too.
+        values: (B, T, M) float64; NaN where missing, also for single components.
         times: (B, T) float64, increasing in each row; NaN beyond the end of a shorter one.
     """
 
@@ -19,5 +19,5 @@ class Observations(NamedTuple):
     times: Tensor
 
     def part(self, rows: slice) -> Observations:
-        """Return those of some of the trajectories."""
+        """Return the observations of selected trajectories."""
         return Observations(self.values[rows], self.times[rows])

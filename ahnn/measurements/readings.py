@@ -1,4 +1,4 @@
-"""The two models that read the state itself."""
+"""Measurement models of the positions and of the whole state."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ class Position(Differing):
     """The first n of 2 n state components: the positions q, as in the paper.
 
     Args:
-        degrees_of_freedom: n.
-        unit: of a position, or of each.
+        degrees_of_freedom: number n of degrees of freedom.
+        unit: unit of all positions, or of each.
     """
 
     def __init__(self, degrees_of_freedom: int = 3, unit: str | tuple[str, ...] = "km") -> None:
@@ -35,8 +35,8 @@ class State(Differing):
     """The whole state, positions and momenta.
 
     Args:
-        degrees_of_freedom: n.
-        units: of a position and of a momentum, or of each.
+        degrees_of_freedom: number n of degrees of freedom.
+        units: units of positions and of momenta, or of each.
     """
 
     def __init__(
@@ -57,15 +57,15 @@ class State(Differing):
 
 
 def of_each(unit: str | tuple[str, ...], count: int) -> tuple[str, ...]:
-    """Return the units of so many numbers, of one for all or of each."""
+    """Expand units to one per component."""
     return (unit,) * count if isinstance(unit, str) else unit
 
 
 def reading(name: str, space: Space) -> Measurement:
-    """Return the measurement called `position` or `state` of a space.
+    """Build the measurement named `position` or `state` of a space.
 
     Raises:
-        ValueError: another name.
+        ValueError: unknown name.
     """
     alike = [of_coordinates(space, angle=angle) for angle in space.angular]
     positions = tuple(one.units.position for one in alike)

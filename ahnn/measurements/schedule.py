@@ -1,4 +1,4 @@
-"""When measurements come: every k-th step, or at times of their own."""
+"""Measurement schedules: every k-th step, or given times."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from ahnn.substeps import substeps_of_each
 
 
 def every(measurements: Numbers, k: int) -> Tensor:
-    """Return the measurements (B, T, M) with all but each k-th row set to NaN.
+    """Return measurements (B, T, M) with all but every k-th row set to NaN.
 
-    Row i is measured after step i + 1, so that the rows kept are k - 1, 2 k - 1, ... (the paper: k = 60).
+    Row i is measured after step i + 1, so the rows kept are k - 1, 2 k - 1, ... (the paper: k = 60).
 
     Raises:
-        ValueError: if k is not a positive whole number, or measurements are not (B, T, M).
+        ValueError: k is not a positive integer, or measurements are not (B, T, M).
     """
-    # NaN has no remainder, so that it is refused too.
+    # NaN has no remainder, so it is rejected too.
     if k < 1 or k % 1 != 0:
         message = f"every: expected a cadence of a whole number of steps, at least 1; received {k}"
         raise ValueError(message)
@@ -43,17 +43,17 @@ class Schedule(NamedTuple):
 def schedule(times: Numbers, measurements: Numbers, max_step: float, start_time: float = 0.0) -> Schedule:
     """Return steps of at most max_step that hit each of the K measurement times.
 
-    Each gap is cut into equal steps. A measurement at the start time itself needs a step of its own and is
-    refused: update a recursive estimator with it before its first prediction.
+    Each gap is divided into equal steps. A measurement at the start time is rejected: update a recursive
+    estimator with it before its first prediction.
 
     Args:
-        times: (K,) increasing, later than the start.
-        measurements: (B, K, M).
-        max_step: longest step that the flow may take.
+        times: (K,) increasing measurement times after the start.
+        measurements: (B, K, M) measurements.
+        max_step: maximum step of the flow.
         start_time: time of the initial belief.
 
     Raises:
-        ValueError: if times are not (K,), finite and increasing from the start, K differs or is zero, or
+        ValueError: times are not (K,), finite and increasing from the start, K differs or is zero, or
             max_step is not positive.
     """
     given, ends = _rows(measurements, "schedule"), as_float64(times, "schedule: times")

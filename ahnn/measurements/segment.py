@@ -1,4 +1,4 @@
-"""Stretches of measurements, and what gave them."""
+"""Segments of measurements with their instrument."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from ahnn.measurements.coloured_noise import Colour, Whitening
 
 
 class Instrument(NamedTuple):
-    """What gave measurements, and what is known of the motion between them.
+    """Instrument of measurements, with properties of the observed motion.
 
     Attributes:
-        measurement: from states to measurements.
-        deviations: (M,) standard deviations of the noise.
-        longest: step that an integrator may take between two measurements at most.
+        measurement: measurement model.
+        deviations: (M,) noise standard deviations.
+        longest: maximum integrator step between measurements.
         dof: degrees of freedom n of the motion.
-        inertia: factor m of p = m dq/dt, where positions are measured and momenta are wanted.
-        width: samples on either side of one over which the motion is a cubic to within the noise.
-        bias: (M,) what readings are more than what is true; None for nothing.
-        bias_sd: (M,) standard deviations of what is not known of that, 0 where all is; None for zeros.
+        inertia: factor m of p = m dq/dt, for momenta from measured positions.
+        width: number of samples on either side within which the motion is cubic up to the noise.
+        bias: (M,) offset of readings from the truth; None for zeros.
+        bias_sd: (M,) standard deviations of the offset, 0 if known; None for zeros.
         colour: of the noise; None for white noise.
     """
 
@@ -39,12 +39,12 @@ class Instrument(NamedTuple):
 
 
 class Segment(NamedTuple):
-    """A batch of stretches of measurements, K intervals each; the states are not known, not even the first.
+    """Batch of measurement segments with K intervals each and unknown states.
 
     Attributes:
-        values: (B, K + 1, M); NaN where nothing was measured, single components too.
+        values: (B, K + 1, M); NaN where missing, also for single components.
         times: (B, K + 1), increasing in each row.
-        instrument: what gave them.
+        instrument: instrument of the measurements.
     """
 
     values: Tensor
@@ -53,23 +53,23 @@ class Segment(NamedTuple):
 
     @property
     def measured(self) -> Tensor:
-        """(B,) how many numbers were measured in each stretch."""
+        """Number of measured values in each segment, (B,)."""
         return (~self.values.isnan()).sum((1, 2))
 
     def first(self, intervals: int) -> Segment:
-        """Return the stretches cut to their first intervals."""
+        """Return the segments truncated to their first intervals."""
         values, times = self.values[:, : intervals + 1], self.times[:, : intervals + 1]
         return self._replace(values=values, times=times)
 
     def rows(self, part: slice | Tensor) -> Segment:
-        """Return some of the stretches."""
+        """Return selected segments."""
         return self._replace(values=self.values[part], times=self.times[part])
 
     def residuals(self, states: Tensor) -> Tensor:
-        """Return predicted - measured in standard deviations, (B, K + 1, M), 0 where nothing was measured.
+        """Return predicted - measured in standard deviations, (B, K + 1, M), 0 where missing.
 
         Args:
-            states: (B, K + 1, D) predicted at the times of the measurements.
+            states: (B, K + 1, D) predicted states at the measurement times.
         """
         measurement, bias = self.instrument.measurement, self.instrument.bias
         predicted = measurement(states, self.times)
@@ -80,7 +80,7 @@ class Segment(NamedTuple):
 
     @property
     def whitening(self) -> Whitening | None:
-        """What makes white residuals of coloured ones; None where they are white."""
+        """Whitening of coloured residuals; None for white ones."""
         colour = self.instrument.colour
         return None if colour is None else Whitening.of(colour, self.times, ~self.values.isnan())
 

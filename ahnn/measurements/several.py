@@ -1,4 +1,4 @@
-"""Several instruments that measure at the same times, such as the stations of a network."""
+"""Several simultaneous instruments, such as the stations of a network."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from ahnn.measurements.base import Locating, Measurement, Sighted, Time
 
 
 class Several:
-    """The measurements of several models side by side, NaN of those that do not see the state.
+    """Concatenated measurements of several models, NaN for those without view of the state.
 
     Args:
-        models: at least one; names get the number of their model, counted from 1, in front.
+        models: at least one; names are prefixed with the number of their model, from 1.
 
     Raises:
         ValueError: no model.
@@ -37,7 +37,7 @@ class Several:
         return torch.cat([model(x, t) for model in self.models], dim=-1)
 
     def in_view(self, x: Tensor, t: Time) -> Tensor:
-        """Return which of the M numbers are measured of the states x (..., D), (..., M) bool."""
+        """Return the mask of measured components at states x (..., D), (..., M) bool."""
         views = [
             model.in_view(x, t)
             if isinstance(model, Sighted)
@@ -47,12 +47,12 @@ class Several:
         return torch.cat(views, dim=-1)
 
     def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return y - y_pred, each part as its model takes differences."""
+        """Return y - y_pred, each part as defined by its model."""
         parts = zip(self.models, y.split(self.sizes, -1), y_pred.split(self.sizes, -1), strict=True)
         return torch.cat([residual(model, a, b) for model, a, b in parts], dim=-1)
 
     def locate(self, y: Tensor, t: Time) -> Tensor:
-        """Return the mean of the positions (..., n) that y (..., M) are read as; NaN where none is."""
+        """Return the mean of the positions (..., n) estimated from y (..., M); NaN if there are none."""
         parts = zip(self.models, y.split(self.sizes, -1), strict=True)
         located = [cast(Any, model).locate(part, t) for model, part in parts if isinstance(model, Locating)]
         return torch.stack(located).nanmean(0)

@@ -1,6 +1,6 @@
-"""States and their rates read off noisy measurements, by polynomials that are local in time.
+"""States and rates from noisy measurements, by polynomials local in time.
 
-No dynamics are needed: it is what scalings, and the starts of a fit, are taken from.
+No dynamics are needed; the results provide scalings and initial values of fits.
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ from ahnn.measurements.base import Locating
 from ahnn.measurements.segment import Instrument, Segment
 
 DEGREE = 3
-"""Of the polynomials (Savitzky & Golay 1964, for samples at any times)."""
+"""Degree of the polynomials (Savitzky & Golay 1964, for samples at arbitrary times)."""
 FIRST = 6
-"""Samples that a start is guessed from."""
+"""Number of samples for an initial guess."""
 WIDTHS = (2, 3, 5, 8, 12, 18, 27, 40, 60, 90)
-"""Samples on either side that are tried."""
+"""Candidate numbers of samples on either side."""
 
 
 class Local(NamedTuple):
-    """Polynomials at some times, C components each.
+    """Local polynomials at selected times, with C components each.
 
     Attributes:
-        value, rate, curvature: (E, C) at the middle, and its first and second derivative.
-        error: (E, C) difference of the sample in the middle from the polynomial of the others.
-        leverage: (E,) share of that sample in its own polynomial.
-        width: samples on either side that it was fitted to.
-        chosen: (E, 2) row and column of the samples in the middle; None where it is the first.
+        value, rate, curvature: (E, C) value at the centre, and first and second derivatives.
+        error: (E, C) difference of the central sample from the polynomial through the others.
+        leverage: (E,) weight of that sample in its own polynomial.
+        width: number of fitted samples on either side.
+        chosen: (E, 2) row and column of the central samples; None for the first sample.
     """
 
     value: Tensor
@@ -42,13 +42,13 @@ class Local(NamedTuple):
 
 
 def local_polynomials(values: Tensor, offsets: Tensor, middle: int, degree: int = DEGREE) -> Local:
-    """Return the polynomials, cubics at most, that fit samples best.
+    """Fit polynomials, at most cubic, to samples.
 
     Args:
-        values: (E, R, C) samples; one with a NaN does not count.
-        offsets: (E, R) their times, measured from where the polynomial is wanted.
-        middle: which sample that is.
-        degree: of the polynomials; DEGREE at most.
+        values: (E, R, C) samples; samples with NaN are ignored.
+        offsets: (E, R) times relative to the evaluation time.
+        middle: index of the central sample.
+        degree: degree of the polynomials, at most DEGREE.
     """
     there = values.isfinite().all(-1) & offsets.isfinite()
     offsets, values = offsets.masked_fill(~there, 0), values.masked_fill(~there.unsqueeze(-1), 0)
@@ -66,7 +66,7 @@ def local_polynomials(values: Tensor, offsets: Tensor, middle: int, degree: int 
 
 
 def guess(segment: Segment) -> Tensor:
-    """Return rough first states (B, 2n), from the first samples of each stretch."""
+    """Estimate initial states (B, 2n) from the first samples of each segment."""
     instrument = segment.instrument
     first = segment.first(FIRST - 1)
     located = located_at(instrument, first.values, first.times)
@@ -75,25 +75,25 @@ def guess(segment: Segment) -> Tensor:
 
 
 def located_at(instrument: Instrument, values: Tensor, times: Tensor) -> Tensor:
-    """Return positions (..., n) or states (..., 2n) that measurements (..., M) are read as."""
+    """Return positions (..., n) or states (..., 2n) estimated from measurements (..., M)."""
     return cast(Locating, instrument.measurement).locate(values, times)
 
 
 def as_states(value: Tensor, rate: Tensor, instrument: Instrument) -> Tensor:
-    """Return states (..., 2n) from positions and velocities, or from states as they are."""
+    """Return states (..., 2n) from positions and velocities, or states unchanged."""
     whole = value.shape[-1] == 2 * instrument.dof
     return value if whole else torch.cat((value, instrument.inertia * rate), dim=-1)
 
 
 def smoothed(instrument: Instrument, values: Tensor, times: Tensor, count: int, seed: int = 0) -> Local:
-    """Return polynomials at about `count` samples, as wide as predicts left-out samples best.
+    """Fit polynomials at about `count` samples, with the width that best predicts left-out samples.
 
     Args:
-        instrument: what measured.
+        instrument: instrument of the measurements.
         values: (B, T, M) measurements.
-        times: (B, T).
-        count: of samples.
-        seed: of their choice.
+        times: (B, T) times.
+        count: approximate number of samples.
+        seed: seed of their selection.
     """
     rows = located_at(instrument, values, times).isfinite().all(-1).nonzero()
     draw = torch.randperm(len(rows), generator=torch.Generator().manual_seed(seed))[:count]
@@ -111,16 +111,16 @@ def smoothed(instrument: Instrument, values: Tensor, times: Tensor, count: int, 
 
 
 def scale_of(local: Local) -> Tensor:
-    """Return the spread of each component, (C,), or 1 where there is none."""
+    """Return the spread of each component, (C,), or 1 for constant components."""
     spread = local.value.std(0)
     return torch.where(spread > 0, spread, torch.ones_like(spread))
 
 
 def around(instrument: Instrument, values: Tensor, times: Tensor, chosen: Tensor, width: int) -> Local:
-    """Return polynomials through `width` samples on either side of the chosen ones, (E, 2) row and column.
+    """Fit polynomials to `width` samples on either side of chosen ones, (E, 2) row and column.
 
-    Those with hardly a neighbour, such as the only sighting of a pass, are left out. Where trajectories are
-    so short that none had enough for a cubic, degrees are lower.
+    Samples with too few neighbours, such as the only one of a pass, are omitted. For trajectories too short
+    for a cubic the degree is reduced.
     """
     degree = min(DEGREE, max(0, values.shape[1] - 2))
     offsets = torch.arange(-width, width + 1)

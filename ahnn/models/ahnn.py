@@ -1,4 +1,4 @@
-"""AHNN: a learned Hamiltonian through an integrator, trained on its own recursive predictions."""
+"""AHNN: a learned Hamiltonian with an integrator, trained on recursive predictions."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from ahnn.models.module import AbstractModel
 
 @final
 class AHNN(AbstractModel):
-    """Autoregressive Hamiltonian neural network (the paper); over windows of one step it is its HNN⁺.
+    """Autoregressive Hamiltonian neural network (the paper); equal to its HNN⁺ for one-step windows.
 
     Args:
         dof: degrees of freedom n.
         inertia: factor m of T = p^2 / 2m, used by `mechanical` and `central_body`.
         hamiltonian: generic, separable, mechanical, central_body, mass_matrix or pairs.
         mu: gravitational parameter of `central_body`; None learns it.
-        falloff: k of a learned V(q) = (R / r)^k N(q); 0 leaves open how it goes with the distance.
-        dimensions: coordinates of a body, for hamiltonian=pairs.
+        falloff: k of a learned V(q) = (R / r)^k N(q); 0 for no prescribed decay with distance.
+        dimensions: number of coordinates of a body, for hamiltonian=pairs.
         inputs: cartesian, isotropic or radial positions, or angles.
         scaling: minmax, block or none.
         network: width, depth, activation.
         integrator: `name` and options of the one-step method.
-        window: W, steps of the recursive predictions in the loss.
+        window: number W of recursive prediction steps in the loss.
         loss: options of `LossOptions`.
         angular: which coordinates are angles, for inputs=angles.
-        forces: beside the Hamiltonian, name -> options.
-        controls: m, numbers that forces may depend on.
+        forces: additional forces, name -> options.
+        controls: number m of controls on which forces may depend.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class AHNN(AbstractModel):
         options |= {"inputs": inputs, "scaling": scaling, "network": network, "integrator": integrator}
         if inputs == "angles":
             options |= {"angular": angular}
-        if forces:  # weights of a Hamiltonian alone keep their arguments
+        if forces:  # weights of a model without forces keep their original arguments
             options |= {"forces": forces, "controls": controls}
         super().__init__(make_dynamics("hamiltonian", dof=dof, **options), dof, window, loss)
         self.save_hyperparameters()

@@ -1,4 +1,4 @@
-"""LNN: a learned Lagrangian through an integrator."""
+"""LNN: a learned Lagrangian with an integrator."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ class LNN(AbstractModel):
 
     Args:
         dof: degrees of freedom n.
-        inertia: factor m of p = m dq/dt, one or one for each coordinate.
+        inertia: factor m of p = m dq/dt, common or per coordinate.
         scaling: minmax, block or none.
         network: width, depth, activation.
         integrator: `name` and options of the one-step method.
-        window: W, steps of the recursive predictions in the loss.
+        window: number W of recursive prediction steps in the loss.
         loss: options of `LossOptions`.
     """
 

@@ -1,4 +1,4 @@
-"""MLP: a network that maps a state to the next one."""
+"""MLP: a network from one state to the next."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from ahnn.models.module import AbstractModel
 
 @final
 class MLP(AbstractModel):
-    """The paper's first baseline: no field, no integrator, one fixed time step.
+    """The paper's first baseline: a map with a fixed time step, without field or integrator.
 
     Args:
         dof: degrees of freedom n.
         scaling: minmax, block or none.
-        residual: learn the increment instead of the next state.
+        residual: whether to learn the increment instead of the next state.
         network: width, depth, activation.
-        window: W, steps of the recursive predictions in the loss.
+        window: number W of recursive prediction steps in the loss.
         loss: options of `LossOptions`; a map has no field, so `derivative` must be 0.
     """
 

@@ -1,4 +1,4 @@
-"""The one abstract LightningModule: dynamics, what they are compared with, and how steps are taken."""
+"""Abstract LightningModule: dynamics, objectives and optimiser steps."""
 
 from __future__ import annotations
 
@@ -29,28 +29,28 @@ from ahnn.training.finite import require_finite_loss, require_finite_weights
 from ahnn.types import Flow, TimeStep, Window
 
 STAGED = ("val/loss", "val/lost")
-"""What validations on measurements log."""
+"""Metrics logged by validations on measurements."""
 LOOKS = 50
-"""Steps on a device between two looks at the loss, each of which waits for it. Once lost, a loss stays so."""
+"""Number of steps between checks of the loss, which synchronise the device. A non-finite loss persists."""
 
 
 class Optimisation(NamedTuple):
-    """Factories of the optimiser and its scheduler, which belong to a training and not to a model."""
+    """Factories of the optimiser and its scheduler, which belong to a training instead of a model."""
 
     optimizer: Callable[[Iterable[nn.Parameter]], Optimizer]
     scheduler: Callable[[Optimizer], LRScheduler] | None
 
 
 class AbstractModel(LightningModule, ABC):
-    """A training of dynamics.
+    """LightningModule for training dynamics.
 
-    Final subclasses say in their constructor which dynamics and which objective; nothing else is overridden.
+    Final subclasses define dynamics and objective in their constructor and override nothing else.
 
     Args:
-        dynamics: what is trained.
+        dynamics: dynamics to be trained.
         dof: degrees of freedom n.
-        window: W, steps of the recursive predictions in the loss.
-        loss: options of `LossOptions`, or of `SegmentOptions` where measurements are learned from.
+        window: number W of recursive prediction steps in the loss.
+        loss: options of `LossOptions`, or of `SegmentOptions` for measurements.
 
     Raises:
         UserError: a loss on derivatives, for dynamics without a field.
@@ -79,20 +79,20 @@ class AbstractModel(LightningModule, ABC):
         self._about: dict[str, Any] = {}
 
     def train_by(self, optimisation: Optimisation, about: Mapping[str, Any]) -> None:
-        """Take the optimiser of a training, and what its checkpoints say of it."""
+        """Set the optimiser of a training, and its checkpoint metadata."""
         self._optimisation, self._about = optimisation, {**about}
 
     def learns_from(self, **about: Any) -> None:
-        """Let checkpoints say what the data are, besides what is known before there are any."""
+        """Add metadata of the data to checkpoints, once available."""
         self._about |= about
 
     def step_by(self, recorded: Stepper) -> None:
-        """Take recorded steps, in place of those of optimisers that take gradients."""
+        """Use recorded steps instead of gradient steps."""
         self._recorded = recorded
 
     @property
     def about(self) -> Mapping[str, Any]:
-        """What checkpoints say of the training, plain values."""
+        """Checkpoint metadata of the training, plain values."""
         return MappingProxyType(self._about)
 
     @property
@@ -103,13 +103,13 @@ class AbstractModel(LightningModule, ABC):
 
     @property
     def objective(self) -> Objective:
-        """The objective of the current epoch; that of the first where no trainer counts epochs."""
+        """Objective of the current epoch, or of the first without a trainer."""
         if self._trainer is None:
             return self.curriculum.at(0, 1)
         return self.curriculum.at(self.current_epoch, self.trainer.max_epochs or 1)
 
     def forward(self, x: Tensor, dt: TimeStep) -> Tensor:
-        """Return the states (B, D) that the states x, shape (B, D), reach after dt."""
+        """Propagate states x, shape (B, D), over dt; return (B, D)."""
         return self.dynamics(x, dt)
 
     def flow(self) -> Flow:
@@ -133,15 +133,15 @@ class AbstractModel(LightningModule, ABC):
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": scheduler, "interval": "epoch"}}
 
     def stepper_for(self, optimizer: Optimizer) -> Stepper:
-        """Return how an optimiser is asked for a step."""
+        """Return the stepper of an optimiser."""
         own = stepper_of(optimizer)
         return self._recorded if self._recorded is not None and isinstance(own, FirstOrder) else own
 
     def check(self, trainer: Trainer) -> None:
-        """Try optimiser and scheduler before anything is generated, and let the stepper look at the trainer.
+        """Test optimiser and scheduler before data generation, and check the trainer with the stepper.
 
         Raises:
-            UserError: settings that do not go together.
+            UserError: incompatible settings.
         """
         if self.curriculum.span is None:
             self._check_stages(trainer)
@@ -159,14 +159,14 @@ class AbstractModel(LightningModule, ABC):
             return
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # that the optimiser took no step before
+                warnings.simplefilter("ignore")  # warning that the optimiser took no step before
                 configured["lr_scheduler"]["scheduler"].step()
         except (ArithmeticError, TypeError, ValueError) as error:
             message = f"scheduler: it cannot take a step with these settings: {error}"
             raise UserError(message) from error
 
     def _check_stages(self, trainer: Trainer) -> None:
-        """Refuse what training on measurements cannot: no CPU, or values that it does not log."""
+        """Reject settings unsupported on measurements: devices other than the CPU, or unlogged metrics."""
         device = trainer.strategy.root_device.type
         asked = {"trainer.accelerator": (device, ("cpu",)), "trainer.devices": (trainer.world_size, (1,))}
         for callback in trainer.callbacks:  # pyright: ignore[reportAttributeAccessIssue]
@@ -179,7 +179,7 @@ class AbstractModel(LightningModule, ABC):
                 raise UserError(message)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Add what the dynamics are and were trained on, and the latest validation loss, as plain values."""
+        """Add metadata of dynamics and data, and the latest validation loss, as plain values."""
         loss = self.trainer.callback_metrics.get("val/loss")
         known = {**self.about, "dynamics": self.dynamics.spec}
         checkpoint["ahnn"] = {**known, "val_loss": None if loss is None else float(loss)}
@@ -198,7 +198,7 @@ class AbstractModel(LightningModule, ABC):
         return loss
 
     def on_validation_start(self) -> None:
-        """Look at the weights that the last step of an epoch left, before any checkpoint holds them."""
+        """Check that the weights after an epoch are finite, before a checkpoint is written."""
         where = f"at step {self.trainer.global_step} in epoch {self.current_epoch}"
         require_finite_weights(self.dynamics, where)
 
@@ -208,7 +208,7 @@ class AbstractModel(LightningModule, ABC):
         return cast(Tensor, self.trainer.strategy.reduce(loss.clone(), reduce_op="mean"))
 
     def validation_step(self, batch: Any, batch_idx: int) -> None:
-        """Log what the objective of validations says: `val/loss`, and `val/one_step` or `val/lost`."""
+        """Log the metrics of the validation objective: `val/loss`, and `val/one_step` or `val/lost`."""
         del batch_idx
         size = len(batch.start) if isinstance(batch, Window) else len(batch.values)
         size = float(size if getattr(batch, "weight", 1) else 0)  # Lightning rounds the mean of integers

@@ -1,4 +1,4 @@
-"""NODE: a neural vector field through an integrator."""
+"""NODE: a neural vector field with an integrator."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from ahnn.models.module import AbstractModel
 
 @final
 class NODE(AbstractModel):
-    """Neural ordinary differential equation (Chen et al. 2018), differentiated through the steps.
+    """Neural ordinary differential equation (Chen et al. 2018), differentiated through the integrator steps.
 
     Args:
         dof: degrees of freedom n.
         scaling: minmax, block or none.
         network: width, depth, activation.
         integrator: `name` and options of the one-step method.
-        window: W, steps of the recursive predictions in the loss.
+        window: number W of recursive prediction steps in the loss.
         loss: options of `LossOptions`.
     """
 

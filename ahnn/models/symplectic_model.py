@@ -1,4 +1,4 @@
-"""Symplectic maps of one step: SympNet, HénonNet and GHNN."""
+"""Symplectic one-step maps: SympNet, HénonNet and GHNN."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from ahnn.models.module import AbstractModel
 
 @final
 class SymplecticModel(AbstractModel):
-    """A map from one sample to the next that is symplectic by construction, of one fixed time step.
+    """Map from one sample to the next, symplectic by construction, with a fixed time step.
 
     Args:
         dof: degrees of freedom n.
-        kind: which layers; see `ahnn.dynamics`.
-        scaling: block or none, which leave the map symplectic.
-        layers: how many.
+        kind: kind of layers; see `ahnn.dynamics`.
+        scaling: block or none, which preserve symplecticity.
+        layers: number of layers.
         network: width, depth, activation.
-        window: W, steps of the recursive predictions in the loss.
+        window: number W of recursive prediction steps in the loss.
         loss: options of `LossOptions`; a map has no field, so `derivative` must be 0.
-        form: of a SympNet, G or LA.
-        shears: of a linear module of LA.
+        form: form of a SympNet, G or LA.
+        shears: number of shears in a linear module of LA.
     """
 
     def __init__(

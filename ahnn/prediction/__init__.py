@@ -1,4 +1,4 @@
-"""What learned dynamics say of times to come: states, how well they are known, and how novel they are."""
+"""Predictions by learned dynamics: states with covariance and novelty."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""States and time steps as users have them in Python, turned into what dynamics take."""
+"""Conversion of states and time steps from Python users to inputs of dynamics."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def states_of(x: Numbers, who: str, dynamics: Dynamics, space: Space) -> Tensor:
     """Return states (..., 2n), of the type and on the device of the parameters of the dynamics.
 
     Raises:
-        UserError: they are no states of the space; begins with `who`.
+        UserError: not states of the space; the message begins with `who`.
     """
     like = next(dynamics.parameters(), torch.empty(0, dtype=torch.float64))
     states, size = as_float64(x, who, like.device).to(like.dtype), len(space.components)
@@ -43,10 +43,10 @@ def starts_of(start: Numbers, dynamics: Dynamics, space: Space) -> Tensor:
 def paths_of(
     start: Numbers, steps: int, dt: Numbers, dynamics: Dynamics, space: Space
 ) -> tuple[Tensor, int, TimeStep]:
-    """Return starts (B, 2n), how many steps follow, and their length or that of each, (B, steps).
+    """Return starts (B, 2n), the number of steps, and their common or individual lengths, (B, steps).
 
     Raises:
-        UserError: starts or steps that are none, or more than the memory holds.
+        UserError: invalid starts or steps, or insufficient memory.
     """
     x, count = starts_of(start, dynamics, space), as_count(steps, "steps")
     require_memory("steps", "predicted states", 8.0 * (count + 1) * x.numel())
@@ -61,18 +61,18 @@ def clock_along(
     controls: Numbers | None,
     starts: int,
 ) -> Clock | None:
-    """Return the clock where each of `count` steps begins; None for dynamics of the state alone.
+    """Return the clock at the start of each of `count` steps; None for autonomous dynamics.
 
     Args:
-        dynamics: say what they depend on.
-        lengths: of the steps, one or (B, count).
-        count: of steps.
-        start_time: of the first.
-        controls: held in each step, (count, m) or (B, count, m); None where nothing is controlled.
-        starts: B.
+        dynamics: dynamics, which define the clock coordinates.
+        lengths: step lengths, common or (B, count).
+        count: number of steps.
+        start_time: time of the first step.
+        controls: values of each step, (count, m) or (B, count, m); None without controls.
+        starts: number B of starts.
 
     Raises:
-        UserError: controls that are missing, are of another shape, or have no effect.
+        UserError: controls that are missing, of the wrong shape, or without effect.
     """
     size = max(0, dynamics.clock - 1)
     given = controls_of(controls, count, size, starts)
@@ -88,10 +88,10 @@ def clock_along(
 def clock_of_samples(
     dynamics: Dynamics, times: Tensor, controls: Numbers | None, starts: int, *, linear: bool
 ) -> Clock | None:
-    """Return the clock at times (T,) with controls (T, m) or (B, T, m), None for dynamics of the state alone.
+    """Return the clock at times (T,) with controls (T, m) or (B, T, m), None if autonomous.
 
     Raises:
-        UserError: controls that are missing, are of another shape, or have no effect.
+        UserError: controls that are missing, of the wrong shape, or without effect.
     """
     given = controls_of(controls, len(times), max(0, dynamics.clock - 1), starts)
     if not dynamics.clock:
@@ -100,10 +100,10 @@ def clock_of_samples(
 
 
 def controls_of(controls: Numbers | None, count: int, size: int, starts: int) -> Tensor | None:
-    """Return m = `size` controls at so many instants, (count, m) or (B, count, m), None where m is 0.
+    """Return m = `size` controls at `count` instants, (count, m) or (B, count, m), None for m = 0.
 
     Raises:
-        UserError: they are missing, are of another shape, or have no effect.
+        UserError: they are missing, of the wrong shape, or without effect.
     """
     given = None if controls is None else as_float64(controls, "controls")
     shapes = ((count, size), (starts, count, size))
@@ -119,7 +119,7 @@ def controls_of(controls: Numbers | None, count: int, size: int, starts: int) ->
 
 
 def lengths_of(dt: Numbers, like: Tensor) -> TimeStep:
-    """Return one finite time step, or as many as a tensor has numbers; raises UserError for others."""
+    """Return a finite time step, or a tensor of such steps; raises UserError for others."""
     step = as_float64(dt, "dt", like.device)
     if step.shape not in ((), like.shape) or not bool(step.isfinite().all()):
         received = float(step) if step.ndim == 0 else described(step)

@@ -1,4 +1,4 @@
-"""Durations as people write them: `1d`, `90min`, or a number in the unit of time of a space."""
+"""Parsing of durations: `1d`, `90min`, or a number in the unit of time of a space."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ AMOUNT = re.compile(r"\s*(?P<number>[\d.]+([eE][+-]?\d+)?)\s*(?P<unit>[A-Za-z]+)
 
 
 def duration(value: str | float, who: str, base: str) -> float:
-    """Return a duration in a unit of time.
+    """Parse a duration to a unit of time.
 
     Args:
-        value: a number, or one with a unit behind it.
-        who: the parameter, for messages.
-        base: the unit of time of the space, "1" where numbers have none.
+        value: a number, or a number followed by a unit.
+        who: parameter name, for messages.
+        base: unit of time of the space, "1" for dimensionless.
 
     Raises:
-        UserError: it is no duration, or its unit does not fit.
+        UserError: invalid duration, or an incompatible unit.
     """
     found = AMOUNT.fullmatch(value) if isinstance(value, str) else None
     try:
@@ -46,8 +46,8 @@ def duration(value: str | float, who: str, base: str) -> float:
 
 
 def grid(total: float, step: float) -> Tensor:
-    """Return the times (T,) from 0 to a duration, a step apart, the last step shorter where it has to be."""
-    require_memory("duration and step", "times", 8.0 * (total / step))  # before it is counted: it may be inf
+    """Return the times (T,) from 0 to a duration at equal steps, the last step possibly shorter."""
+    require_memory("duration and step", "times", 8.0 * (total / step))  # checked before counting: may be inf
     count = substeps(total, step)
     times = step * torch.arange(count + 1, dtype=torch.float64)
     times[-1] = total
@@ -55,6 +55,6 @@ def grid(total: float, step: float) -> Tensor:
 
 
 def picoseconds(time: float, base: str) -> int:
-    """Return a time in the unit of a space as whole picoseconds; without a unit it is taken as seconds."""
+    """Return a time in the unit of a space as integer picoseconds; dimensionless times are seconds."""
     clock = unit(base)
     return round(time * (clock.size if clock.dimension == TIME else 1.0) * SECOND)

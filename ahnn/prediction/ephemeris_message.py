@@ -1,4 +1,4 @@
-"""Predictions as orbit ephemeris messages (CCSDS 502.0-B), with covariances where they are known."""
+"""Predictions as orbit ephemeris messages (CCSDS 502.0-B), with covariances if available."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ahnn.prediction.propagation import Prediction
 from ahnn.types import Space
 
 PLAIN = frozenset("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_./ ")
-"""What a value in a message may hold."""
+"""Characters allowed in a value of a message."""
 
 
 def require_named(reference: Reference) -> None:
-    """Refuse a message without frame, centre, time system and epoch; raises UserError."""
+    """Raise UserError for a message without frame, centre, time system and epoch."""
     if not all(reference[:3]) or not PLAIN.issuperset("".join(reference[:3])):
         message = (
             "frame: expected frame, centre and time system for an ephemeris message, such as "

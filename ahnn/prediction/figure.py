@@ -1,4 +1,4 @@
-"""The picture of a prediction: components with their bands, and the novelty below."""
+"""Figure of a prediction: components with bands, and novelty."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from ahnn.prediction.propagation import Prediction
 from ahnn.types import Space
 
 SIGMAS = 3
-"""Half width of the band, in standard deviations."""
+"""Half-width of the band, in standard deviations."""
 
 
 def prediction_figure(prediction: Prediction, space: Space, title: str) -> Figure:
-    """Draw the first predicted trajectory: positions, velocities, and how novel its states are."""
+    """Plot the first predicted trajectory: positions, velocities, and novelty."""
     figure = style.canvas(8, 8)
     panels = figure.subplots(2 if prediction.novelty is None else 3, 1, sharex=True)
     time, n = prediction.times, space.dof

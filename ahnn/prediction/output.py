@@ -1,4 +1,4 @@
-"""A prediction as a file: the suffix decides, and the file appears whole or not at all."""
+"""Atomic output of predictions, in a format chosen by the file extension."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ PICTURES = (".png", ".svg")
 
 
 def require_output(path: Path, starts: Starts, space: Space) -> None:
-    """Refuse, before anything is computed, a file that cannot be written.
+    """Check before any computation that the output file can be written.
 
     Raises:
-        UserError: another suffix, no folder, or an ephemeris message of what is no orbit with an epoch.
+        UserError: unknown extension, missing folder, or an ephemeris message of states that are not an orbit
+            with epoch.
     """
     if path.suffix.lower() not in SUFFIXES or not path.parent.is_dir() or path.is_dir():
         message = f"output: expected a file {', '.join(SUFFIXES)} in a folder that exists; received {path}"
@@ -38,7 +39,7 @@ def require_output(path: Path, starts: Starts, space: Space) -> None:
 
 
 def require_other(path: Path, start: Path) -> None:
-    """Refuse to write a prediction over its own start; raises UserError."""
+    """Raise UserError if a prediction would overwrite its own start."""
     if path.exists() and start.exists() and path.samefile(start):
         message = f"output: expected another file than the start; received {path} for both"
         raise UserError(message)
@@ -60,7 +61,7 @@ def write(path: Path, prediction: Prediction, starts: Starts, space: Space) -> N
 
 
 def require_figure(path: Path) -> None:
-    """Refuse a picture that cannot be written; raises UserError."""
+    """Raise UserError for a figure that cannot be written."""
     if path.suffix.lower() not in PICTURES or not path.parent.is_dir():
         message = f"figure: expected a file {', '.join(PICTURES)} in a folder that exists; received {path}"
         raise UserError(message)
@@ -68,7 +69,7 @@ def require_figure(path: Path) -> None:
 
 
 def draw(path: Path, prediction: Prediction, space: Space, title: str) -> None:
-    """Draw a prediction."""
+    """Draw and write the figure of a prediction."""
     from ahnn.evaluation.sinks.figure_files import drawn
     from ahnn.prediction.figure import prediction_figure
 

@@ -1,4 +1,4 @@
-"""Predictions as columns of a table with units in their names, as CSV or Parquet."""
+"""Predictions as CSV or Parquet tables with units in column names."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from ahnn.uncertainty import BEYOND
 
 
 def columns(prediction: Prediction, starts: Starts, space: Space) -> dict[str, Any]:
-    """Return the columns of all trajectories, one behind the other.
+    """Return the columns of all trajectories, concatenated.
 
-    Momenta are written as velocities, as docs/data.md names them, where they are m times these; `sd_` is a
-    standard deviation, and `novel` is 1 where a state lies beyond the training data.
+    Momenta proportional to velocities are written as velocities, named as in docs/data.md; `sd_` marks a
+    standard deviation, and `novel` is 1 for states outside the training data.
 
     Args:
-        prediction: of the starts.
-        starts: their names, times and reference.
-        space: what the numbers mean.
+        prediction: prediction to write.
+        starts: names, times and reference of the starts.
+        space: description of the state components.
     """
     samples = prediction.states.shape[1]
     times = (starts.times.unsqueeze(1) + prediction.times).flatten()
@@ -49,7 +49,7 @@ def columns(prediction: Prediction, starts: Starts, space: Space) -> dict[str, A
 
 
 def described(starts: Starts, space: Space) -> Sidecar:
-    """Return the sidecar of a table: with it a reader of data takes the prediction as trajectories."""
+    """Return the sidecar of a table: with which data readers treat the prediction as trajectories."""
     names, momenta = list(space.components[: space.dof]), list(space.components[space.dof :])
     reference = starts.reference
     rates = {"velocities": [f"v{name}" for name in names]} if space.mechanical else {"momenta": momenta}
@@ -60,7 +60,7 @@ def described(starts: Starts, space: Space) -> Sidecar:
 
 
 def labels(space: Space) -> list[str]:
-    """Return the names of positions and their velocities, or momenta that are none, with units."""
+    """Return the names of positions and their velocities, or of general momenta, with units."""
     if not space.mechanical:
         return components(space)
     alike = [of_coordinates(space, angle=angle).units for angle in space.angular]
@@ -69,7 +69,7 @@ def labels(space: Space) -> list[str]:
 
 
 def as_csv(found: dict[str, Any]) -> bytes:
-    """Return columns as comma-separated values, each number with all its digits."""
+    """Return columns as comma-separated values, with full precision."""
     rows = zip(*(column.tolist() for column in found.values()), strict=True)
     lines = [",".join(map(_cell, found)), *(",".join(map(_cell, row)) for row in rows)]
     return ("\n".join(lines) + "\n").encode()

@@ -1,9 +1,9 @@
-"""From starts to predicted states at given times, with their covariance and novelty.
+"""Propagation of starts to given times, with covariance and novelty.
 
-The covariance is that of `ahnn.uncertainty.rollout_covariances`, of the start where that is not exact, too,
-and is carried along in stretches so that any duration fits into memory. Where a path leaves the training
-data, the sensitivity of the field to its parameters counts `growth` times: the error of a learned force grows
-there faster than its parameters know.
+The covariance is that of `ahnn.uncertainty.rollout_covariances`, including the uncertainty of the start, and
+is propagated in segments so that any duration fits into memory. Outside the training data, the sensitivity of
+the field to its parameters is multiplied by `growth`: the error of a learned force grows there faster than
+its parameter covariance implies.
 """
 
 from __future__ import annotations
@@ -30,21 +30,20 @@ from ahnn.shooting.quadrature import coarse
 from ahnn.uncertainty import Domain, growth
 
 CELLS = 4e6
-"""Numbers in the largest tensor of sensitivities; longer paths are followed in stretches."""
+"""Size limit of the largest sensitivity tensor; longer paths are propagated in segments."""
 
 TOGETHER = 2_000
-"""States of a stretch; a bar moves behind each."""
+"""Number of states per segment, after which the progress bar is updated."""
 
 
 class Prediction(NamedTuple):
     """Predicted trajectories.
 
     Attributes:
-        times: (T,), the first of the starts.
-        states: (B, T, D).
-        covariances: (B, T, D, D), or None where nothing is known of them.
-        novelty: (B, T) distance from the training data, 1 for the farthest of these; None where it is not
-            known.
+        times: (T,) times, the first that of the starts.
+        states: (B, T, D) predicted states.
+        covariances: (B, T, D, D) covariances, or None if unknown.
+        novelty: (B, T) distance from the training data, scaled to 1 at its edge; None if unknown.
     """
 
     times: Tensor
@@ -58,17 +57,17 @@ class Prediction(NamedTuple):
         return None if self.covariances is None else self.covariances.diagonal(dim1=-2, dim2=-1).sqrt()
 
     def at(self, chosen: Tensor, times: Tensor) -> Prediction:
-        """Return some of the samples, (K,), with times of their own."""
+        """Return selected samples, (K,), with given times."""
         return Prediction(times, *(None if part is None else part[:, chosen] for part in self[1:]))  # pyright: ignore[reportArgumentType]
 
 
 class Knowledge(NamedTuple):
-    """What is known of learned dynamics besides their parameters, and of starts.
+    """Uncertainty information on learned dynamics and starts.
 
     Attributes:
         spread: factor (P, R) of the covariance of the parameters, or None.
-        domain: where they were learned, or None.
-        start: factor (D, D) or (B, D, D) of the covariance of the starts, or None where they are exact.
+        domain: training domain, or None.
+        start: factor (D, D) or (B, D, D) of the covariance of the starts, or None for exact starts.
     """
 
     spread: Tensor | None = None
@@ -77,7 +76,7 @@ class Knowledge(NamedTuple):
 
     @property
     def columns(self) -> int:
-        """How many columns the factor of a state's covariance has; 0 where nothing is known of it."""
+        """Number of columns of the factor of a state's covariance; 0 if unknown."""
         of_starts = 0 if self.start is None else self.start.shape[-1]
         return of_starts + (0 if self.spread is None else self.spread.shape[1])
 
@@ -92,19 +91,19 @@ def predicted(
     description: str | None = None,
     clock: Clock | None = None,
 ) -> Prediction:
-    """Return the predicted states at given times.
+    """Predict states at given times.
 
     Args:
-        dynamics: float64.
+        dynamics: float64 dynamics.
         start: (B, D) states at the first of the times.
         times: (T,) increasing.
-        longest: time step of the integrator; an interval is cut into as few equal steps as it allows.
-        known: of the dynamics.
-        description: text of a progress bar; None shows none.
-        clock: time and controls at the times, (T, k) or (B, T, k); None for dynamics of the state alone.
+        longest: maximum integrator step; intervals are divided into the fewest equal steps.
+        known: uncertainty information.
+        description: text of the progress bar, or None for no bar.
+        clock: time and controls at the times, (T, k) or (B, T, k); None for autonomous dynamics.
 
     Raises:
-        UserError: starts that are not finite, times that do not increase, or more than the memory holds.
+        UserError: starts that are not finite, times that do not increase, or insufficient memory.
     """
     require_times(times)
     require_finite(start)
@@ -129,7 +128,7 @@ def predicted(
 
 
 def needs_quarters(dynamics: Dynamics, start: Tensor, steps: Steps) -> bool:
-    """Return whether the first `TOGETHER` steps from starts (B, D) are long for the trapezoidal rule."""
+    """Return whether the first `TOGETHER` steps from starts (B, D) are too long for the trapezoidal rule."""
     lengths = steps.lengths[:, :TOGETHER].expand(len(start), -1)
     return coarse(cast(HasField, dynamics).field, path(dynamics.increment, start, lengths), lengths)
 
@@ -142,14 +141,14 @@ class _Rows(NamedTuple):
     novelty: Tensor | None
 
     def at(self, chosen: Tensor) -> _Rows:
-        """Return some of the samples."""
+        """Return selected samples."""
         states, *others = (None if part is None else part[:, chosen] for part in self)
         assert states is not None
         return _Rows(states, *others)
 
     @classmethod
     def joined(cls, rows: Sequence[_Rows]) -> _Rows:
-        """Return stretches one behind the other."""
+        """Concatenate segments."""
         columns = zip(*rows, strict=True)
         states, *others = (None if column[0] is None else torch.cat(column, dim=1) for column in columns)
         assert states is not None
@@ -157,7 +156,7 @@ class _Rows(NamedTuple):
 
 
 class _Path:
-    """Where a batch of paths has come to, and how it moves with the start and the parameters."""
+    """Current states of a batch of paths, with sensitivities to start and parameters."""
 
     def __init__(self, dynamics: Dynamics, known: Knowledge, quartered: bool) -> None:
         self.dynamics, self.known, self.quartered = dynamics, known, quartered
@@ -168,7 +167,7 @@ class _Path:
             self.field_columns = field_jacobian(dynamics)  # pyright: ignore[reportArgumentType]
 
     def begin(self, start: Tensor) -> _Rows:
-        """Take the starts (B, D) and return them as rows."""
+        """Set the starts (B, D) and return them as rows."""
         self.x, size, states = start, start.shape[1], start.unsqueeze(1)
         moved = start.new_zeros(len(start), size, self.known.columns)
         if self.known.start is not None:
@@ -177,7 +176,7 @@ class _Path:
         return _Rows(states, self._covariances(moved.unsqueeze(1)), self._novelty(states))
 
     def follow(self, lengths: Tensor, clock: Clock | None = None) -> _Rows:
-        """Take steps of lengths (N,) begun on a clock, and return the rows behind each of them."""
+        """Take steps of lengths (N,) with a clock at their start, and return the rows after each."""
         states = torch.stack([self.x, *self._steps(lengths, clock)], dim=1)
         novelty = self._novelty(states)
         self.x = states[:, -1]
@@ -204,7 +203,7 @@ class _Path:
         return sensitivities(jacobians, self._forcing(states, novelty), steps, self.moved)
 
     def _forcing(self, states: Tensor, novelty: Tensor | None) -> Tensor:
-        """Return what drives the columns (B, N, L, R): the parameters theirs, and nothing those of starts."""
+        """Return the forcing of the columns (B, N, L, R): nonzero for parameters, zero for starts."""
         if self.known.spread is None:
             return states.new_zeros(*states.shape, self.known.columns, dtype=torch.float32)
         forcing = self.field_columns(self.theta, states) @ self.known.spread.float()
@@ -213,7 +212,7 @@ class _Path:
         return pad(forcing, (0, self.known.columns - forcing.shape[-1]))
 
     def _covariances(self, moved: Tensor) -> Tensor | None:
-        """Return M M^T; rounded to float32 it would have eigenvalues below zero."""
+        """Return M M^T in float64; in float32 it could have negative eigenvalues."""
         wide = moved.double()
         return wide @ wide.mT if self.known.columns else None
 
@@ -228,10 +227,10 @@ class _Path:
 
 
 def together(predictions: Sequence[Prediction]) -> Prediction:
-    """Return the mean of predictions of several trainings, with the spread between them in the covariance.
+    """Combine predictions of several trainings to their mean, with their spread in the covariance.
 
-    The law of total covariance: the mean of their own ones, where all have one, and the sample covariance of
-    their states. The novelty is the largest.
+    Law of total covariance: the mean of the individual covariances, if all are known, plus the sample
+    covariance of the states. The novelty is the maximum.
     """
     first, *others = predictions
     if not others:
@@ -248,7 +247,7 @@ def together(predictions: Sequence[Prediction]) -> Prediction:
 
 
 def require_times(times: Tensor) -> None:
-    """Refuse times that are not (T,), finite and increasing; raises UserError."""
+    """Raise UserError for times that are not (T,), finite and increasing."""
     if times.ndim != 1 or len(times) < 2 or not bool((times.diff() > 0).all() & times.isfinite().all()):
         received = times.tolist() if times.numel() < 7 else f"shape {tuple(times.shape)}"
         message = (
@@ -258,7 +257,7 @@ def require_times(times: Tensor) -> None:
 
 
 def require_finite_prediction(prediction: Prediction, unit: str) -> None:
-    """Refuse predicted states or covariances that are not finite; raises TrainingError with their time."""
+    """Raise TrainingError, with the time, for non-finite predicted states or covariances."""
     wrong = ~prediction.states.isfinite().all(-1)
     if prediction.covariances is not None:
         wrong |= ~prediction.covariances.isfinite().all(-1).all(-1)

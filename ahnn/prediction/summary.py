@@ -1,4 +1,4 @@
-"""What a prediction says, in a few lines."""
+"""Text summary of a prediction."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def summary(prediction: Prediction, starts: Starts, space: Space, title: str) ->
 
 
 def warning(prediction: Prediction, starts: Starts, space: Space) -> str | None:
-    """Return one line about states beyond the training data; None where there are none, or nobody knows."""
+    """Return one line about states beyond the training data; None without such states or if unknown."""
     if prediction.novelty is None:
         return (
             "novelty: not known, these weights do not say where their training data were. Train again to know"

@@ -1,7 +1,7 @@
-"""Trained weights that come with the package, each with its configuration and its scores.
+"""Trained weights shipped with the package, with configuration and scores.
 
-A folder here holds weights.safetensors with all that is needed to use them, and config.yaml and metrics.json
-of the run that made them.
+Each folder contains weights.safetensors, sufficient for use, and config.yaml and metrics.json of the training
+run.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ahnn.errors import UserError
 
 HERE = Path(__file__).parent
 MACHINE = ("callbacks", "logger", "run", "folder")
-"""Parts of a configuration that belong to the machine of a run."""
+"""Parts of a configuration specific to the machine of a run."""
 
 
 def names() -> list[str]:
@@ -30,7 +30,7 @@ def shipped(name: str) -> Path:
     """Return the folder of a trained model in the package.
 
     Raises:
-        UserError: no model of this name.
+        UserError: unknown model.
     """
     if name not in names():
         message = f"pretrained: no model {name!r}{nearest(name, names())}"
@@ -39,9 +39,9 @@ def shipped(name: str) -> Path:
 
 
 def pack(run: Path, name: str) -> Path:
-    """Put the best weights of a run among the trained models and return their folder.
+    """Add the best weights of a run to the trained models and return their folder.
 
-    What belongs to the machine of the run, its folders, is left out of the configuration.
+    Machine-specific folders are removed from the configuration.
     """
     folder = HERE / name
     folder.mkdir(exist_ok=True)

@@ -1,4 +1,4 @@
-"""Flows held against measurements: paths with their derivatives, and the unknown starts that fit them best.
+"""Shooting: fits of paths to measurements, with sensitivities and unknown initial states.
 
-Training eliminates the starts, an evaluation without truth asks how well they fit.
+Training eliminates the initial states; evaluations without truth test their goodness of fit.
 """

@@ -1,8 +1,8 @@
-"""Unknown starts of segments, fitted to their measurements with the dynamics held fixed.
+"""Fit of unknown initial states of segments to measurements, with fixed dynamics.
 
-Each segment is a least-squares problem of its own in D unknowns, solved by Levenberg-Marquardt with a damping
-of its own; all of a batch are solved together. A start that is off explodes over a long segment: it is fitted
-over growing spans first.
+Each segment is a separate least-squares problem in D unknowns, solved by Levenberg-Marquardt with individual
+damping; a batch is solved simultaneously. Since an inaccurate initial state diverges over a long segment, it
+is first fitted over growing spans.
 """
 
 from __future__ import annotations
@@ -20,40 +20,40 @@ from ahnn.shooting.path_sensitivities import Increment, Steps, path, transitions
 from ahnn.shooting.robust import ROBUST, Robust
 
 SHORTEST = 4
-"""Intervals over which starts are fitted first, at least."""
+"""Minimum number of intervals of the first span."""
 GROWTH = 4
-"""Factor from one span to the next."""
+"""Growth factor of spans."""
 HOPELESS = 1e9
-"""Mean squared residual of a segment that is given up; what fits badly is limited, and not left out."""
+"""Mean squared residual at which a segment is abandoned; poorly fitting ones are only limited."""
 ROUGHLY, ITERATIONS = 3, 8
-"""Steps on a span that is still to grow, and on the last one."""
+"""Number of iterations on a growing span, and on the complete one."""
 LOST = 25.0
-"""Mean squared residual of a segment that trained dynamics do not explain."""
+"""Mean squared residual above which trained dynamics do not explain a segment."""
 SETTLED = 1e-3
-"""Change of a segment's chi-square that is none."""
+"""Change of a segment's chi-square below which the fit has converged."""
 SMALLEST, LARGEST = 1e-9, 1e9
 """Range of the damping."""
 WARY, SURE = 1e-5, 1e-7
-"""First damping of a start that is a guess, and that of one that was fitted before the parameters moved.
+"""Initial damping of a guessed initial state, and of one fitted before a parameter step.
 
-A shift along an orbit grows with time and hides the other directions of a start: their share may be 1e-5.
+A shift along an orbit grows with time and hides the other directions of a start, down to a fraction of 1e-5.
 """
 REFITS = 2
-"""Steps that move the starts after the parameters moved, with derivatives of before."""
+"""Number of refitting steps after a parameter step, with the previous derivatives."""
 FOLLOWING = 4
-"""Steps with derivatives of their own, at most, after a last step of a training, which is long."""
+"""Maximum number of steps with new derivatives, after the long final step of a training."""
 ROWS = 100
-"""Paths that are followed together at least, though two cores could share them."""
+"""Minimum number of paths propagated together, even if two cores could share them."""
 
 
 class Trial(NamedTuple):
-    """A flow that is held against measurements.
+    """Flow for comparison with measurements.
 
     Attributes:
         exact: increments in float64.
-        jacobians: of steps, (B, N, D, D), at states (B, N, D) over lengths (B, N). They shape a move of the
-            starts and may be in float32; whether it is good, exact increments decide.
-        robust: the loss of residuals in standard deviations.
+        jacobians: Jacobians of steps, (B, N, D, D), at states (B, N, D) over lengths (B, N). They only
+            determine step directions and may be in float32; acceptance is decided by exact increments.
+        robust: robust loss of normalised residuals.
     """
 
     exact: Increment
@@ -62,15 +62,15 @@ class Trial(NamedTuple):
 
 
 class Linearised(NamedTuple):
-    """Residuals of segments, to first order in their starts.
+    """Residuals of segments, linearised in their initial states.
 
     Attributes:
-        jacobians: of the steps of the path, (B, N, D, D).
+        jacobians: Jacobians of the path's steps, (B, N, D, D).
         residuals: (B, K + 1, M) predicted - measured in standard deviations, whitened where their noise is
-            coloured, times the root of their weights.
+            coloured, times the square root of their weights.
         of_state: (B, K + 1, M, D) their derivative with respect to the state at their time; where they are
             whitened, that of what they were before.
-        of_start: (B, K + 1, M, D) with respect to the start.
+        of_start: (B, K + 1, M, D) derivative with respect to the initial state.
     """
 
     jacobians: Tensor
@@ -79,16 +79,16 @@ class Linearised(NamedTuple):
     of_start: Tensor
 
     def rows(self, part: slice) -> Linearised:
-        """Return some of the segments."""
+        """Return selected segments."""
         return Linearised(*(values[part] for values in self))
 
 
 class Fitted(NamedTuple):
-    """Segments from the starts that fit them best.
+    """Segments with fitted initial states.
 
     Attributes:
-        states: (B, N + 1, D) along the path, the start first; NaN where it was given up.
-        sums: (B,) twice the robust loss, the squared residuals; inf for a path that is lost.
+        states: (B, N + 1, D) along the path, initial state first; NaN where abandoned.
+        sums: (B,) twice the robust loss, the squared residuals; inf for a diverged path.
     """
 
     states: Tensor
@@ -96,11 +96,11 @@ class Fitted(NamedTuple):
 
     @property
     def starts(self) -> Tensor:
-        """(B, D) the first states."""
+        """Fitted initial states, (B, D)."""
         return self.states[:, 0]
 
     def rows(self, part: slice | Tensor) -> Fitted:
-        """Return some of the segments."""
+        """Return selected segments."""
         return Fitted(self.states[part], self.sums[part])
 
 
@@ -121,7 +121,7 @@ def linearised(trial: Trial, states: Tensor, segment: Segment, steps: Steps) -> 
 
 
 def followed(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Fitted:
-    """Return the paths from the starts (B, D) and how well they fit."""
+    """Propagate initial states (B, D) and evaluate their fit."""
     halves = slices(len(start), max(ROWS, -(-len(start) // 2)))
     states = torch.cat(
         each(lambda part: path(trial.exact, start[part], steps.lengths[part]), halves, start.device)
@@ -134,11 +134,11 @@ def followed(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Fit
 def fit_starts(
     trial: Trial, start: Tensor, segment: Segment, steps: Steps, hopeless: float = HOPELESS
 ) -> Fitted:
-    """Return the fit of each segment, begun at `start`, shape (B, D), over growing spans.
+    """Fit each segment from `start`, shape (B, D), over growing spans.
 
-    A segment that does not meet its measurements over one span, within a mean squared residual of `hopeless`,
-    is not tried over longer ones. An outlier among the first samples spoils where a fit begins: a loss that
-    forgets what is far off would stay there, and follows a convex one.
+    A segment whose mean squared residual exceeds `hopeless` on one span is not tried on longer ones. An
+    outlier among the first samples spoils the initial values: a redescending loss could not recover, and is
+    therefore preceded by a convex one.
     """
     intervals, start = len(steps.ends) - 1, start.clone()
     name = trial.robust.approach
@@ -160,7 +160,7 @@ def fit_starts(
 
 
 def growing(intervals: int) -> list[int]:
-    """Return the spans over which starts are fitted before all of the intervals."""
+    """Return the growing spans used before the complete one."""
     spans = []
     while (intervals := -(-intervals // GROWTH)) >= SHORTEST:
         spans.append(intervals)
@@ -176,7 +176,7 @@ def refine(
     iterations: int = ITERATIONS,
     damping: float = WARY,
 ) -> Fitted:
-    """Return the fit after at most so many Levenberg-Marquardt steps, each segment damped by itself."""
+    """Refine the fit by a limited number of Levenberg-Marquardt steps with individual damping."""
     fitted = followed(trial, start, segment, steps)
     dampings, moving = start.new_full((len(start),), damping), fitted.sums.isfinite().nonzero().squeeze(1)
     for _ in range(iterations):
@@ -196,9 +196,9 @@ def refine(
 
 @torch.no_grad()
 def refit(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Fitted:
-    """Return the fit from starts that were the best ones before the parameters moved.
+    """Refit from initial states that were optimal before a parameter step.
 
-    They are near: the derivatives at the first of two steps serve the second, too.
+    Since they are close, the derivatives of the first of two steps are reused for the second.
     """
     fitted = followed(trial, start, segment, steps)
     design = linearised(trial, fitted.states, segment, steps).of_start.flatten(1, 2)
@@ -216,7 +216,7 @@ def refit(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Fitted
 def damped_moves(design: Tensor, rows: Tensor, damping: Tensor) -> Tensor:
     """Return Marquardt's steps (B, D) of problems with Jacobians (B, R, D) and residuals (B, R).
 
-    A problem that is not finite, or has no measurement, does not move.
+    Problems that are not finite or have no measurements get zero steps.
     """
     lost = ~(design.isfinite().all(-1).all(-1) & rows.isfinite().all(-1))
     design, rows = design.masked_fill(lost[:, None, None], 0), rows.masked_fill(lost[:, None], 0)

@@ -1,7 +1,8 @@
-"""Normal points: measurements of neighbouring times as one, of the state in their midst, as in laser ranging.
+"""Normal points: compression of neighbouring measurements to one time, as in laser ranging.
 
-What a start does to a path is the same to the last digit, and what parameters do within a group is left out:
-of an effect that grows with t², a share of (τ / t)². Residuals are the exact ones, so that the optimum stays.
+The effect of the initial state on a path is preserved exactly, while that of parameters within a group is
+neglected: for an effect that grows with t², a fraction of (τ / t)². Residuals are exact, so that the optimum
+is unchanged.
 """
 
 from __future__ import annotations
@@ -14,18 +15,18 @@ from ahnn.shooting.initial_states import Linearised
 from ahnn.shooting.path_sensitivities import transitions
 
 POINTS = 200
-"""Groups of the measurements of a path, at least, and fewer than twice as many."""
+"""Minimum number of measurement groups per path, and less than half of the maximum."""
 
 
 def normal_points(now: Linearised, ends: Tensor) -> tuple[Linearised, Tensor]:
-    """Return residuals with the same normal equations, and which states of the path they belong to, (G,).
+    """Return residuals with equal normal equations, and the indices of their path states, (G,).
 
-    A group has no more rows than components of the state that it sees: of five stations that measure three
-    numbers each, 15 rows of one time become 3.
+    A group has at most as many rows as observed state components: 15 rows of five stations with three values
+    at one time become 3.
 
     Args:
-        now: residuals of K + 1 times.
-        ends: (K + 1,) the states of the path at these times.
+        now: residuals at K + 1 times.
+        ends: (K + 1,) indices of the path states at these times.
     """
     size = max(1, len(ends) // POINTS)
     of_state, middles = now.of_state, ends
@@ -42,7 +43,7 @@ def normal_points(now: Linearised, ends: Tensor) -> tuple[Linearised, Tensor]:
 
 
 def _of_middles(now: Linearised, ends: Tensor, size: int) -> tuple[Tensor, Tensor]:
-    """Return derivatives (B, G, size M, D) with respect to the states in the midst of groups, and these."""
+    """Return derivatives (B, G, size M, D) with respect to the central states of groups, and these."""
     last = len(ends) - 1
     middles = ends[torch.arange(size // 2, last + size // 2 + 1, size).clamp(max=last)]
     moved = transitions(now.jacobians.to(now.of_state), set(ends[::size].tolist()))
@@ -51,6 +52,6 @@ def _of_middles(now: Linearised, ends: Tensor, size: int) -> tuple[Tensor, Tenso
 
 
 def _grouped(values: Tensor, size: int) -> Tensor:
-    """Return values (B, K + 1, M, D) of groups of times, (B, G, size M, D), the last filled up with zeros."""
+    """Return values (B, K + 1, M, D) grouped by times, (B, G, size M, D), the last padded with zeros."""
     missing = -values.shape[1] % size
     return pad(values, (0, 0, 0, 0, 0, missing)).unflatten(1, (-1, size)).flatten(2, 3)

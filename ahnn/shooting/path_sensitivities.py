@@ -1,7 +1,7 @@
-"""Paths of a flow through many measurements, and how they move with their start and with the parameters.
+"""Paths of a flow and their sensitivities to initial state and parameters.
 
-Pure functions of increments (x, dt) -> x(t + dt) - x(t). A path is recursive, its derivatives are not: the
-Jacobians of all steps are formed at once and multiplied afterwards.
+Pure functions of increments (x, dt) -> x(t + dt) - x(t). A path is computed recursively, but its derivatives
+are not: the Jacobians of all steps are formed at once and then multiplied.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ class Steps(NamedTuple):
     """Integrator steps between the times of measurements.
 
     Attributes:
-        lengths: (B, N).
-        ends: (K + 1,) the state of a path, from 0 to N, that belongs to each time.
-        quartered: whether steps are quarters of longer ones, so that integrals take Simpson's rule.
+        lengths: (B, N) step lengths.
+        ends: (K + 1,) index of the path state, from 0 to N, for each time.
+        quartered: whether steps are quarters of longer ones, so that integrals use Simpson's rule.
     """
 
     lengths: Tensor
@@ -33,20 +33,20 @@ class Steps(NamedTuple):
 
     @property
     def shares(self) -> list[tuple[float, float]]:
-        """What an integrand at begin and end of each step counts, as fractions of its length; N pairs."""
+        """Quadrature weights at begin and end of each step, as fractions of its length; N pairs."""
         rule = [(1 / 3, 2 / 3), (2 / 3, 1 / 3)] if self.quartered else [(0.5, 0.5)]
         return rule * (self.lengths.shape[1] // len(rule))
 
     def rows(self, part: slice | Tensor) -> Steps:
-        """Return the steps of some of the segments."""
+        """Return the steps of selected segments."""
         return self._replace(lengths=self.lengths[part])
 
     def halved(self) -> Steps:
-        """Return two steps for each of these."""
+        """Divide each step into two."""
         return self._replace(lengths=self.lengths.repeat_interleave(2, dim=1) / 2, ends=2 * self.ends)
 
     def quarters(self) -> Steps:
-        """Return four steps for each of these, whose integrals take Simpson's rule."""
+        """Divide each step into four, with integrals by Simpson's rule."""
         return Steps(self.lengths.repeat_interleave(4, dim=1) / 4, 4 * self.ends, quartered=True)
 
     def first(self, intervals: int) -> Steps:
@@ -56,9 +56,9 @@ class Steps(NamedTuple):
 
 
 def steps_between(times: Tensor, longest: float) -> Steps:
-    """Return steps that end on all of the times (B, K + 1), none longer than `longest`.
+    """Build steps that end at all times (B, K + 1), none longer than `longest`.
 
-    An interval has as many steps in every row as its longest one needs.
+    An interval has equally many steps in every row, as needed by the longest one.
     """
     gaps = times.diff(dim=1)
     counts = substeps_of_each(gaps.amax(0), longest)
@@ -67,7 +67,7 @@ def steps_between(times: Tensor, longest: float) -> Steps:
 
 
 def path(increment: Increment, start: Tensor, lengths: Tensor) -> Tensor:
-    """Return the states (B, N + 1, D) that follow from the starts (B, D) over steps of lengths (B, N)."""
+    """Propagate initial states (B, D) over steps of lengths (B, N); return (B, N + 1, D)."""
     states = [start]
     for dt in lengths.unbind(1):
         states.append(states[-1] + increment(states[-1], dt))
@@ -77,7 +77,7 @@ def path(increment: Increment, start: Tensor, lengths: Tensor) -> Tensor:
 def in_quarters(increment: Increment, states: Tensor, lengths: Tensor) -> Tensor:
     """Return the states (B, 4 N + 1, D) at the quarters of steps (B, N) along a path (B, N + 1, D).
 
-    Each step is begun anew at the state that the path has there.
+    Each step starts from the state of the given path.
     """
     dt, x = (lengths / 4).flatten(), states[:, :-1].flatten(0, 1)
     quarters = [x]
@@ -90,7 +90,7 @@ def in_quarters(increment: Increment, states: Tensor, lengths: Tensor) -> Tensor
 def transitions(jacobians: Tensor, anew: Collection[int] = ()) -> Tensor:
     """Return dx_k/dx_0 of each state of a path, shape (B, N + 1, D, D), from the Jacobians of its steps.
 
-    With `anew`, states: dx_k/dx_j, with j the last of them up to k.
+    With indices `anew`: dx_k/dx_j, where j is the last of them up to k.
     """
     one = torch.eye(jacobians.shape[-1]).to(jacobians).expand_as(jacobians[:, 0])
     products = [one]
@@ -100,18 +100,18 @@ def transitions(jacobians: Tensor, anew: Collection[int] = ()) -> Tensor:
 
 
 def sensitivities(jacobians: Tensor, forcing: Tensor, steps: Steps, first: Tensor | None = None) -> Tensor:
-    """Return dx_k/dtheta at the times of measurements, shape (B, K + 1, D, P).
+    """Return dx_k/dtheta at the measurement times, shape (B, K + 1, D, P).
 
-    The variational equation dS/dt = f_x S + f_theta, its transition exact and its integral by the trapezoidal
-    rule, or Simpson's: the error is a factor 1 + O(dt^2), or O(dt^4), on what shapes a step, not on the
-    residuals that judge it.
+    Solves the variational equation dS/dt = f_x S + f_theta with exact transitions and an integral by the
+    trapezoidal or Simpson's rule: the relative error O(dt^2) or O(dt^4) affects step directions only, not the
+    residuals.
 
     Args:
-        jacobians: of the steps, (B, N, D, D).
+        jacobians: Jacobians of the steps, (B, N, D, D).
         forcing: f_theta, the derivative of the field with respect to the parameters, (B, N + 1, L, P), of
-            its last L components; it is zero for those before.
-        steps: lengths, and which states are wanted.
-        first: dx_0/dtheta, (B, D, P); None is zero, the start held fixed.
+            its last L components; zero for the others.
+        steps: step lengths, and indices of the requested states.
+        first: dx_0/dtheta, (B, D, P); None for zero, a fixed initial state.
     """
     rows, size = jacobians.shape[0], jacobians.shape[-1]
     driven = slice(size - forcing.shape[2], None)
@@ -132,12 +132,12 @@ def sensitivities(jacobians: Tensor, forcing: Tensor, steps: Steps, first: Tenso
 def adjoints(jacobians: Tensor, pulls: Tensor, steps: Steps) -> Tensor:
     """Return c, shape (B, N + 1, D), with sum c_k f_theta(x_k) = sum pulls_k dx_k/dtheta.
 
-    The transpose of `sensitivities`, the start held fixed: backwards through the same steps.
+    Transpose of `sensitivities` for a fixed initial state: backwards through the same steps.
 
     Args:
-        jacobians: of the steps, (B, N, D, D).
-        pulls: on the states at the times of measurements, (B, K + 1, D).
-        steps: lengths, and which states are meant.
+        jacobians: Jacobians of the steps, (B, N, D, D).
+        pulls: cotangents of the states at the measurement times, (B, K + 1, D).
+        steps: step lengths, and indices of these states.
     """
     found = pulls.new_zeros(len(pulls), steps.lengths.shape[1] + 1, pulls.shape[-1])
     at = dict(zip(steps.ends.tolist(), pulls.unbind(1), strict=True))

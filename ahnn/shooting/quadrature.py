@@ -1,4 +1,4 @@
-"""What the trapezoidal rule is off by along a path, and whether steps are to be quartered for Simpson's."""
+"""Error of the trapezoidal rule along a path, and decision to quarter steps for Simpson's rule."""
 
 from __future__ import annotations
 
@@ -10,32 +10,33 @@ from torch import Tensor
 Field = Callable[[Tensor], Tensor]
 """States (..., D) -> their rates, (..., D)."""
 COARSE = 3e-3
-"""Error of the trapezoidal rule, as a share of the field, beyond which steps are quartered.
+"""Relative error of the trapezoidal rule, in units of the field, above which steps are quartered.
 
-A start undoes up to all but 1e-5 of what parameters do to a path: what a rule leaves of that looks like
-information about parameters that no measurement determines, or like a path that cannot be foretold.
+An initial state compensates all but 1e-5 of the effect of parameters on a path: quadrature errors of that
+size
+look like information on parameters that no measurement determines, or like an unpredictable path.
 """
 
 
 def coarse(field: Field, states: Tensor, lengths: Tensor) -> bool:
-    """Return whether steps of lengths (B, N) along paths (B, N + 1, D) are to be quartered.
+    """Return whether steps of lengths (B, N) along paths (B, N + 1, D) should be quartered.
 
-    They are where one path asks for it, and where a path has one step alone, which says nothing of itself.
+    True if one path requires it, or if a path has a single step, whose error cannot be estimated.
     """
     return bool((rule_error(field, states, lengths) > COARSE).any())
 
 
 @torch.no_grad()
 def rule_error(field: Field, states: Tensor, lengths: Tensor) -> Tensor:
-    """Return about what share of the forces the trapezoidal rule is off by along each path, shape (B,).
+    """Estimate the relative error of the trapezoidal rule for forces along each path, shape (B,).
 
-    It is h^2 / 12 times their second derivative; of steps that are not finite nothing counts, and infinity
-    is that of a path without two steps in a row.
+    It is h^2 / 12 times their second derivative; non-finite steps are ignored, and a path without two
+    consecutive steps has infinite error.
 
     Args:
-        field: whose forces count, the last half of the rates.
-        states: (B, N + 1, D).
-        lengths: of the steps, (B, N).
+        field: field whose forces, the last half of the rates, are used.
+        states: (B, N + 1, D) states.
+        lengths: step lengths, (B, N).
     """
     forces = field(states)[..., states.shape[-1] // 2 :]
     slopes = forces.diff(dim=1) / lengths.unsqueeze(-1)

@@ -1,8 +1,8 @@
-"""Robust losses of residuals in standard deviations, by weights.
+"""Robust losses of normalised residuals, by iterative reweighting.
 
-A loss rho(e) with the weight w = rho'(e) / e has the gradient of w e^2 / 2 with w held fixed, and that
-parabola touches it from above: a Gauss-Newton step on weighted residuals goes down (iteratively reweighted
-least squares; Huber 1981, section 7.8).
+A loss rho(e) with the weight w = rho'(e) / e has the gradient of w e^2 / 2 with w fixed, and that parabola
+bounds it from above: a Gauss-Newton step on weighted residuals decreases it (iteratively reweighted least
+squares; Huber 1981, section 7.8).
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ FREEDOM = 4.0
 
 
 class Robust(NamedTuple):
-    """A loss of residuals e.
+    """Robust loss of residuals e.
 
     Attributes:
         cost: e -> 2 rho(e), e^2 for squares.
         weight: e -> rho'(e) / e.
         slope: e -> rho''(e).
-        approach: name of the convex loss that a fit begins with, where this one has minima that depend on it.
+        approach: name of a convex loss for initial iterations, if this one has several minima.
     """
 
     cost: Callable[[Tensor], Tensor]
@@ -58,12 +58,13 @@ ROBUST: dict[str, Robust] = {
 def variance(robust: Robust, e: Tensor) -> float:
     """Return the factor that makes (J^T W J)^-1 a covariance, in units of the mean cost.
 
-    W are the weights. A fit by rho has the covariance E rho'^2 / (E rho'')^2 (J^T J)^-1 (Huber 1981, section
-    7.6); of squares it is (J^T J)^-1 times their mean, and 1 is returned.
+    W is the matrix of weights. A fit by rho has the covariance E rho'^2 / (E rho'')^2 (J^T J)^-1 (Huber 1981,
+    section
+    7.6); for squares it is (J^T J)^-1 times their mean, and the factor is 1.
 
     Args:
-        robust: the loss, rho.
-        e: residuals in standard deviations; those that are 0 were not measured.
+        robust: robust loss rho.
+        e: residuals in standard deviations; 0 for missing ones.
     """
     e = e[e != 0]
     weight = robust.weight(e)

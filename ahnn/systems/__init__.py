@@ -1,6 +1,6 @@
-"""Physical systems with known Hamiltonians: the ground truth for data, scores and floors.
+"""Physical systems with known Hamiltonians, the ground truth for data, scores and floors.
 
-A system is one class in one file and one YAML in conf/system.
+Each system consists of one class in its own file and one YAML in conf/system.
 """
 
 from __future__ import annotations

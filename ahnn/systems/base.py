@@ -1,4 +1,4 @@
-"""What a physical system must say of itself: its energy, its field, its initial states and its units."""
+"""Base class of physical systems: energy, field, initial states and units."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ahnn.dynamics.forces import Force
 from ahnn.types import Flow, Space, Units, as_factor
 
 Eccentricity = Annotated[tuple[float, float] | list[float], Interval(Within(0, below=1))]
-"""A range of eccentricities of orbits that come back."""
+"""Range of eccentricities of closed orbits."""
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,9 @@ class FilterNoise:
     """Default statistics of a filter on this system, as standard deviations.
 
     Attributes:
-        position: of the error of each initial position.
-        velocity: of the error of each initial velocity.
-        measurement: of a measured position component.
+        position: initial error of each position.
+        velocity: initial error of each velocity.
+        measurement: noise of a measured position component.
     """
 
     position: float
@@ -37,14 +37,14 @@ class FilterNoise:
 
 @dataclass(frozen=True, kw_only=True)
 class System(ABC):
-    """A Hamiltonian system, T(p) + V(q) unless it says otherwise, ground truth for data and floors.
+    """Hamiltonian system, by default T(p) + V(q), as ground truth for data and floors.
 
-    A subclass is a frozen dataclass whose fields are its physical constants; all of them enter the hash
-    under which generated trajectories are cached. With `forces` beside H, its states carry time and controls
-    as far as these need them (`ahnn.clock`).
+    A subclass is a frozen dataclass whose fields are its physical constants; all enter the hash under which
+    generated trajectories are cached. With additional `forces`, states are extended by time and controls as
+    needed (`ahnn.clock`).
 
     Attributes:
-        name: in folders and tables.
+        name: name in folders and tables.
         dt: sampling interval, in the time unit of the system.
         steps: number of sampling intervals of a trajectory.
         dof: degrees of freedom n; a state has 2n components.
@@ -52,11 +52,11 @@ class System(ABC):
         units: units of time, position, velocity and energy.
         integrator: name of the method that generates the truth.
         noise: default standard deviations for a filter.
-        mass: in the unit of the system.
-        constants: fields of which the force is a function besides the position; the mass apart.
-        controls: names of numbers that are set from outside, on which forces may depend.
-        angles: names of coordinates that are angles; all of them where positions are in rad.
-        linear: whether controls are interpolated linearly between samples; else they are held.
+        mass: mass in the unit of the system.
+        constants: fields on which the force depends besides position, without the mass.
+        controls: names of external inputs on which forces may depend.
+        angles: names of angular coordinates; all of them if positions are in rad.
+        linear: whether controls are interpolated linearly between samples instead of held.
     """
 
     name: str
@@ -75,7 +75,7 @@ class System(ABC):
     mass: Positive = 1.0
 
     def __post_init__(self) -> None:
-        """Refuse parameters that make no trajectory; raises UserError that names the first of them."""
+        """Raise UserError for the first parameter that admits no trajectory."""
         check_values("", type(self), {field.name: getattr(self, field.name) for field in fields(self)})
 
     @abstractmethod
@@ -92,45 +92,45 @@ class System(ABC):
 
     @property
     def inertia(self) -> float | tuple[float, ...]:
-        """The factor m of the kinetic energy p^2 / 2m; a system of several masses has one for each."""
+        """Factor m of the kinetic energy p^2 / 2m, or one per coordinate."""
         return self.mass
 
     @cached_property
     def forces(self) -> Sequence[Force]:
-        """Forces beside the Hamiltonian; a subclass returns its own."""
+        """Additional non-Hamiltonian forces, defined by subclasses."""
         return ()
 
     @cached_property
     def clock(self) -> int:
-        """Clock coordinates of the states: 0, 1 where forces depend on time, 1 + m on controls."""
+        """Number of clock coordinates: 0, 1 for time-dependent forces, 1 + m for controls."""
         return clock_size(self.forces, len(self.controls))
 
     def signal(self, times: Tensor, count: int, generator: Generator) -> Tensor | None:
-        """Draw the controls of `count` trajectories at times (T,), shape (count, T, m); None without any.
+        """Draw controls of `count` trajectories at times (T,), shape (count, T, m); None without controls.
 
-        A system with controls overrides it.
+        Systems with controls override this method.
         """
         del times, count, generator
         return None
 
     @property
     def separable(self) -> bool:
-        """Whether H is T(p) + V(q), which symplectic compositions need; else it overrides `hamiltonian`."""
+        """Whether H = T(p) + V(q), as symplectic compositions require; else `hamiltonian` is overridden."""
         return not self.forces
 
     def parameters(self) -> dict[str, Any]:
-        """Return all that determines the equations and initial states, as plain values."""
+        """Return the complete definition of equations and initial states, as plain values."""
         return asdict(self)
 
     @property
     def mechanical(self) -> bool:
-        """Whether p = m dq/dt; a system whose H has other kinetic terms says so by what it overrides."""
+        """Whether p = m dq/dt, derived from the overridden methods."""
         kinetic = type(self).velocity is System.velocity
         return kinetic and (self.separable or type(self).hamiltonian is System.hamiltonian)
 
     @property
     def space(self) -> Space:
-        """What the numbers of a state mean."""
+        """Description of the state components."""
         own = self.name, self.components, self.units, self.inertia
         return Space(*own, mechanical=self.mechanical, controls=self.controls, angles=self.angles)
 
@@ -148,7 +148,7 @@ class System(ABC):
         return forced(self.hamiltonian, self.forces, x, self.clock) if self.forces else self.hamiltonian(x)
 
     def compiled(self, flow: Flow, longest: float) -> Flow:
-        """Return the exact flow, faster where a system knows how; its steps are at most `longest`."""
+        """Return the exact flow with steps of at most `longest`, in a faster implementation if available."""
         del longest
         return flow
 
@@ -157,10 +157,10 @@ class System(ABC):
         return torch.full((x.shape[0],), self.steps, dtype=torch.int64)
 
     def phases(self, x: Tensor) -> dict[str, Tensor]:
-        """Return in which phase of a motion the states x, shape (..., D), are: (...) bool for each name.
+        """Return masks of phases of the motion for states x, shape (..., D): (...) bool by name.
 
-        An estimator that is right on average may be wrong in each of them. Thirds of the states by the size
-        of the force, where a system has nothing more telling.
+        An estimator that is consistent on average may be inconsistent in each phase. By default phases are
+        thirds of the states by size of the force.
         """
         force = self.force(x.chunk(2, dim=-1)[0]).norm(dim=-1)
         low, high = (force[force.isfinite()].quantile(part) for part in (1 / 3, 2 / 3))
@@ -168,7 +168,7 @@ class System(ABC):
         return {"weak force": force <= low, "medium force": middle, "strong force": force > high}
 
     def deviations(self) -> Tensor:
-        """Return the default standard deviations of an initial state error, shape (D,)."""
+        """Return the default standard deviations of the initial state error, shape (D,)."""
         ones = torch.ones(self.dof, dtype=torch.float64)
         return torch.cat((self.noise.position * ones, self.noise.velocity * as_factor(self.inertia) * ones))
 

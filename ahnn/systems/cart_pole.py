@@ -1,4 +1,4 @@
-"""A pole on a cart that is pushed: q = (x, theta), theta from the upward vertical."""
+"""Pole on a driven cart: q = (x, theta), theta from the upward vertical."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from ahnn.systems.generalised_coordinates import MassMatrixSystem
 @final
 @dataclass(frozen=True, kw_only=True)
 class CartPole(MassMatrixSystem):
-    """A point mass on a rigid rod that swings on a cart, without friction (Barto, Sutton & Anderson 1983).
+    """Point mass on a rigid rod on a cart, without friction (Barto, Sutton & Anderson 1983).
 
     Attributes:
-        mass: of the cart in kg.
+        mass: mass of the cart in kg.
         pole: mass at the end of the rod in kg.
-        length: of the rod in m.
+        length: length of the rod in m.
         gravity: acceleration in m/s^2.
         x0: range of the initial position in m; the cart is at rest.
         angle0: range of the initial angle in rad; the pole is at rest.
         push: standard deviation of the force on the cart in N, drawn anew after every `held` samples.
-        held: samples for which a force is held.
+        held: number of samples for which a force is constant.
     """
 
     pole: Positive = 0.1
@@ -49,11 +49,11 @@ class CartPole(MassMatrixSystem):
 
     @cached_property
     def forces(self) -> Sequence[Force]:
-        """The push on the cart."""
+        """Driving force on the cart."""
         return (Actuation(2, 1, matrix=[[1.0], [0.0]]),)
 
     def signal(self, times: Tensor, count: int, generator: Generator) -> Tensor:
-        """Draw forces in N that are held for some samples, shape (count, T, 1)."""
+        """Draw piecewise constant forces in N, shape (count, T, 1)."""
         draws = torch.randn(count, -(-len(times) // self.held), 1, generator=generator, dtype=torch.float64)
         return self.push * draws.repeat_interleave(self.held, dim=1)[:, : len(times)]
 

@@ -1,4 +1,4 @@
-"""A chain of pendulums in the plane, each link an angle from the downward vertical."""
+"""Planar chain of pendulums, with the angle of each link from the downward vertical."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from ahnn.systems.generalised_coordinates import MassMatrixSystem
 @final
 @dataclass(frozen=True, kw_only=True)
 class ChainPendulum(MassMatrixSystem):
-    """Point masses on rigid rods, one below the other; two are the double pendulum, which is chaotic.
+    """Chain of point masses on rigid rods; two links form the chaotic double pendulum.
 
     M_ij = m_{>= max(i, j)} l_i l_j cos(q_i - q_j) and V = -sum_i m_{>= i} g l_i cos q_i, where m_{>= i} is
-    the mass from link i on (Finzi, Wang & Wilson 2020, arXiv:2010.13581, have the same in Cartesian form).
+    the mass from link i on (Finzi, Wang & Wilson 2020, arXiv:2010.13581, use the Cartesian form).
 
     Attributes:
-        links: how many.
-        masses: of the links in kg, from the top; None takes 1 for each.
-        lengths: of the links in m, likewise.
+        links: number of links.
+        masses: masses of the links in kg, from the top; None for 1 each.
+        lengths: lengths of the links in m; None for 1 each.
         gravity: acceleration in m/s^2.
         q0: range of the initial angles in rad.
         v0: range of their rates in rad/s.
@@ -43,7 +43,7 @@ class ChainPendulum(MassMatrixSystem):
     noise = FilterNoise(position=1e-3, velocity=1e-3, measurement=1e-3)
 
     def __post_init__(self) -> None:
-        """Refuse parameters that make no chain; raises UserError."""
+        """Raise UserError for invalid parameters."""
         super().__post_init__()
         for name in ("masses", "lengths"):
             if (given := getattr(self, name)) is not None and len(given) != self.links:
@@ -52,16 +52,16 @@ class ChainPendulum(MassMatrixSystem):
 
     @property
     def dof(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """One for each link."""
+        """Number of links."""
         return self.links
 
     @property
     def components(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Angles, then momenta."""
+        """Names of angles, then momenta."""
         return tuple(f"{kind}{k + 1}" for kind in ("q", "p") for k in range(self.links))
 
     def numbers(self, given: Sequence[float] | None, like: Tensor) -> Tensor:
-        """Return one number for each link, (n,)."""
+        """Expand numbers to one per link, (n,)."""
         return torch.ones(self.links).to(like) if given is None else torch.tensor(given).to(like)
 
     def couplings(self, like: Tensor) -> Tensor:

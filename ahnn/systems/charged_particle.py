@@ -1,4 +1,4 @@
-"""A charge in a plane with a magnetic field across it: H = |p - q A|^2 / 2m + k r^2 / 2."""
+"""Charged particle in a plane with a perpendicular magnetic field: H = |p - q A|^2 / 2m + k r^2 / 2."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from ahnn.systems.base import FilterNoise, System, Units, uniform
 @final
 @dataclass(frozen=True, kw_only=True)
 class ChargedParticle(System):
-    """Canonical momenta p = m v + q A, with A = B (-y, x) / 2 of a field that grows as B (1 + g r^2 / 2).
+    """Charge with canonical momenta p = m v + q A, in a field that grows as B (1 + g r^2 / 2).
 
-    A velocity is no multiple of a momentum here. SI units.
+    Velocities are not proportional to momenta. SI units.
 
     Attributes:
-        charge: in C.
+        charge: charge in C.
         field: B at the centre in T.
-        growth: g in 1/m^2; 0 is a field that is the same everywhere, a positive one a magnetic bottle.
+        growth: g in 1/m^2; 0 for a uniform field, positive for a magnetic bottle.
         stiffness: k in N/m of a trap about the centre.
         x0: range of each initial position in m.
         v0: range of each initial velocity in m/s.
@@ -43,7 +43,7 @@ class ChargedParticle(System):
 
     @property
     def separable(self) -> bool:
-        """H is no sum of T(p) and V(q)."""
+        """False: H is not a sum T(p) + V(q)."""
         return False
 
     def magnetic_momentum(self, q: Tensor) -> Tensor:

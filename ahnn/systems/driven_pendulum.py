@@ -1,4 +1,4 @@
-"""The pendulum with friction and a periodic torque: m l^2 q'' = -m g l sin q - r q' + a cos(w t)."""
+"""Pendulum with friction and a periodic torque: m l^2 q'' = -m g l sin q - r q' + a cos(w t)."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ahnn.systems.pendulum import Pendulum
 @final
 @dataclass(frozen=True, kw_only=True)
 class DrivenPendulum(Pendulum):
-    """A pendulum that loses energy to friction and is driven.
+    """Driven, damped pendulum.
 
     Attributes:
         friction: r, torque over angular velocity, in kg m^2/s.
-        torque: amplitude a of the drive, in N m; 0 drives nothing.
+        torque: amplitude a of the drive, in N m; 0 for no drive.
         frequency: w of the drive, in rad/s.
     """
 
@@ -31,6 +31,6 @@ class DrivenPendulum(Pendulum):
 
     @cached_property
     def forces(self) -> Sequence[Force]:
-        """Friction, and the drive where there is one."""
+        """Friction, and the drive if nonzero."""
         drive = Forcing(1, frequency=self.frequency, cosine=[self.torque])
         return (Friction(1, coefficient=self.friction), *([drive] if self.torque else []))

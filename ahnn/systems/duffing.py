@@ -1,4 +1,4 @@
-"""The Duffing oscillator: m q'' = -a q - b q^3 - r q' + f cos(w t)."""
+"""Duffing oscillator: m q'' = -a q - b q^3 - r q' + f cos(w t)."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from ahnn.systems.base import FilterNoise, System, Units, uniform
 @final
 @dataclass(frozen=True, kw_only=True)
 class Duffing(System):
-    """A mass in a double well, with friction and a drive: chaotic for the default numbers.
+    """Mass in a double well, with friction and a drive; chaotic for the default values.
 
     Defaults as in Guckenheimer & Holmes, Nonlinear Oscillations, section 2.2, m = 1 (no units).
 
     Attributes:
-        linear_stiffness: a; negative makes two wells.
+        linear_stiffness: a; negative for a double well.
         cubic_stiffness: b.
-        friction: r; 0 loses nothing.
-        drive: amplitude f; 0 drives nothing.
+        friction: r; 0 for no friction.
+        drive: amplitude f; 0 for no drive.
         frequency: w of the drive.
         q0: range of the initial position.
         v0: range of the initial velocity.
@@ -48,7 +48,7 @@ class Duffing(System):
 
     @cached_property
     def forces(self) -> Sequence[Force]:
-        """Friction and the drive, where there are any."""
+        """Friction and drive, if nonzero."""
         found: list[Force] = [Friction(1, coefficient=self.friction)] if self.friction else []
         return [*found, Forcing(1, frequency=self.frequency, cosine=[self.drive])] if self.drive else found
 

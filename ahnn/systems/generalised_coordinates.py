@@ -1,4 +1,4 @@
-"""Systems in generalised coordinates: H = p^T M(q)^{-1} p / 2 + V(q), the mass matrix M a function of q."""
+"""Systems in generalised coordinates: H = p^T M(q)^{-1} p / 2 + V(q), with mass matrix M(q)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ahnn.systems.base import System
 
 @dataclass(frozen=True, kw_only=True)
 class MassMatrixSystem(System):
-    """A system of coupled bodies: momenta are p = M(q) dq/dt, which no factor alone makes velocities."""
+    """System of coupled bodies with momenta p = M(q) dq/dt, not proportional to velocities."""
 
     integrator = "dopri8"
 
@@ -31,7 +31,7 @@ class MassMatrixSystem(System):
 
     @property
     def separable(self) -> bool:
-        """H is no sum of T(p) and V(q)."""
+        """False: H is not a sum T(p) + V(q)."""
         return False
 
     def velocities(self, x: Tensor) -> Tensor:

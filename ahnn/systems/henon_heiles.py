@@ -1,4 +1,4 @@
-"""The Hénon-Heiles system: H = (p_x^2 + p_y^2 + x^2 + y^2) / 2 + x^2 y - y^3 / 3."""
+"""Hénon-Heiles system: H = (p_x^2 + p_y^2 + x^2 + y^2) / 2 + x^2 y - y^3 / 3."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from ahnn.systems.base import FilterNoise, System, Units, uniform
 @final
 @dataclass(frozen=True, kw_only=True)
 class HenonHeiles(System):
-    """A star in an axisymmetric galaxy, regular and chaotic (Hénon & Heiles 1964, Astron. J. 69, 73).
+    """Star in an axisymmetric galaxy, regular and chaotic (Hénon & Heiles 1964, Astron. J. 69, 73).
 
-    Bounded for energies below 1/6, which the default ranges keep.
+    Bounded for energies below 1/6, as ensured by the default ranges.
 
     Attributes:
         amplitude: range of the initial components of q and p.

@@ -1,4 +1,4 @@
-"""The planar Kepler problem in units of its own: mu = semi-major axis = 1, period 2 pi."""
+"""Planar Kepler problem in canonical units: mu = semi-major axis = 1, period 2 pi."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from ahnn.systems.orbits import Elements, state_at_periapsis
 @final
 @dataclass(frozen=True, kw_only=True)
 class Kepler(System):
-    """Planar two-body motion, started at periapsis in any direction.
+    """Planar two-body motion, starting at periapsis with random orientation.
 
     Attributes:
-        eccentricity: range, dimensionless.
+        eccentricity: range of the eccentricity.
     """
 
     eccentricity: Eccentricity = (0.0, 0.5)

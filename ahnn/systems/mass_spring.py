@@ -1,4 +1,4 @@
-"""The harmonic oscillator: H = p^2 / 2m + k q^2 / 2."""
+"""Harmonic oscillator: H = p^2 / 2m + k q^2 / 2."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ahnn.systems.base import FilterNoise, System, Units, uniform
 
 @dataclass(frozen=True, kw_only=True)
 class MassSpring(System):
-    """A mass on a spring (paper, section IV.A); SI units.
+    """Mass on a spring (paper, section IV.A); SI units.
 
     Attributes:
         stiffness: spring constant k in N/m.

@@ -15,7 +15,7 @@ from ahnn.systems.satellites import Planet, SatelliteSystem
 from ahnn.types import Flow
 
 POLAR = torch.tensor([0.0, 0.0, 2.0], dtype=torch.float64)
-"""How much of the oblateness acts along the polar axis besides."""
+"""Additional factor of the oblateness force along the polar axis."""
 
 
 @final
@@ -38,7 +38,7 @@ class Molniya(SatelliteSystem):
 
     @property
     def planet(self) -> Planet:
-        """The planet that the elements refer to."""
+        """Central planet of the orbital elements."""
         return Planet(self.mu, self.r_eq)
 
     def energy(self, x: Tensor) -> Tensor:
@@ -60,7 +60,7 @@ class Molniya(SatelliteSystem):
         return central * (q * torch.addcmul(planar, oblateness, POLAR.to(q)))
 
     def compiled(self, flow: Flow, longest: float) -> Flow:
-        """Return the exact flow, in C where there is a compiler."""
+        """Return the exact flow, in C if a compiler is available."""
         constants = oblate.OblateAttraction(self.mass, -self.mass * self.mu, 1.5 * self.j2 * self.r_eq**2)
         method = cast(SymmetricComposition, INTEGRATORS[self.integrator])
         return oblate.OblateFlow(flow, constants, method, longest)

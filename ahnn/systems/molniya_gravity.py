@@ -1,4 +1,4 @@
-"""The same satellites in a gravity field of spherical harmonics, about a planet that may rotate."""
+"""Molniya satellites in a gravity field of spherical harmonics, about a possibly rotating planet."""
 
 from __future__ import annotations
 
@@ -17,25 +17,26 @@ from ahnn.types import Space
 
 Degree = Annotated[int, Within(0)]
 TURN = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]], dtype=torch.float64)
-"""Rows (x, y, z) times it are (y, -x, 0): how vectors at rest turn in axes that rotate at 1 rad/s."""
+"""Maps rows (x, y, z) to (y, -x, 0), the rotation of fixed vectors in axes that rotate at 1 rad/s."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class MolniyaGravity(SatelliteSystem):
-    """Molniya orbits in the axes of a planet that rotates about z; km, km/s, kg.
+    """Molniya orbits in the body-fixed axes of a planet rotating about z; km, km/s, kg.
 
-    H = p^2 / 2m + m V(q) - rotation (x p_y - y p_x), with p the mass times the inertial velocity, in the axes
-    of the planet: canonical, and conserved (the Jacobi constant) although V turns in an inertial frame. Zonal
-    harmonics alone do not turn: with order 0 and rotation 0 the axes are inertial and H is T + V.
+    H = p^2 / 2m + m V(q) - rotation (x p_y - y p_x), with p the mass times inertial velocity, resolved in
+    body-fixed axes. H is canonical and conserved (the Jacobi constant) although V rotates in an inertial
+    frame. Zonal harmonics are unaffected by rotation: with order 0 and rotation 0 the axes are inertial and H
+    = T + V.
 
     Attributes:
         gravity: `ggm05c` (to degree 8), or the path of a file of the ICGEM format.
         degree: highest degree of the harmonics.
         order: highest order of the harmonics.
-        rotation: of the planet in rad/s; 0 only where the order is 0.
-        tide: what the gravity field must contain of the permanent tide.
-        epoch: YYYY-MM-DD, at which coefficients of a file that vary in time are taken.
+        rotation: rotation rate of the planet in rad/s; may be 0 only for order 0.
+        tide: tide system of the gravity field.
+        epoch: epoch of time-variable coefficients, YYYY-MM-DD.
     """
 
     gravity: str = "ggm05c"
@@ -48,7 +49,7 @@ class MolniyaGravity(SatelliteSystem):
     integrator = "dopri8"
 
     def __post_init__(self) -> None:
-        """Refuse what makes no orbit and no field; raises UserError."""
+        """Raise UserError for invalid orbits or fields."""
         super().__post_init__()
         if self.order > 0 and self.rotation == 0:
             message = (
@@ -68,17 +69,17 @@ class MolniyaGravity(SatelliteSystem):
 
     @property
     def planet(self) -> Planet:
-        """The planet that the elements refer to."""
+        """Central planet of the orbital elements."""
         return Planet(self.gravity_field.mu, self.gravity_field.radius)
 
     @property
     def r_eq(self) -> float:
-        """Equatorial radius in km, which figures draw."""
+        """Equatorial radius in km, for figures."""
         return self.gravity_field.radius
 
     @property
     def space(self) -> Space:
-        """What the numbers of a state mean."""
+        """Description of the state components."""
         return super().space._replace(frame="" if self.separable else "axes of the rotating planet")
 
     @property
@@ -87,7 +88,7 @@ class MolniyaGravity(SatelliteSystem):
         return self.rotation == 0
 
     def parameters(self) -> dict[str, Any]:
-        """Return all that determines the equations, the content of a file included."""
+        """Return the complete definition of the equations, including the content of a field file."""
         return {**super().parameters(), "gravity": self.gravity_field.checksum}
 
     def energy(self, x: Tensor) -> Tensor:

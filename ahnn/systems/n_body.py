@@ -1,4 +1,4 @@
-"""Bodies that attract one another in the plane: H = sum p_i^2 / 2 m_i - sum G m_i m_j / |q_i - q_j|."""
+"""Gravitational N-body problem in the plane: H = sum p_i^2 / 2 m_i - sum G m_i m_j / |q_i - q_j|."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from ahnn.systems.base import FilterNoise, System, Units, uniform
 @final
 @dataclass(frozen=True, kw_only=True)
 class NBody(System):
-    """Point masses in the plane, begun near a rotating regular polygon (Greydanus et al. 2019, section 5).
+    """Point masses in the plane, starting near a rotating regular polygon (Greydanus et al. 2019, section 5).
 
     Attributes:
-        bodies: how many, two at least.
-        masses: of the bodies; None takes 1 for each.
-        gravity: G.
-        radius: range of the distance from the centre at which the bodies begin.
-        disorder: by which fraction each component of their velocities is off the circular ones, at most.
+        bodies: number of bodies, at least two.
+        masses: masses of the bodies; None for 1 each.
+        gravity: gravitational constant G.
+        radius: range of the initial distance from the centre.
+        disorder: maximum relative deviation of velocity components from circular ones.
     """
 
     bodies: Count = 3
@@ -38,7 +38,7 @@ class NBody(System):
     noise = FilterNoise(position=1e-3, velocity=1e-3, measurement=1e-3)
 
     def __post_init__(self) -> None:
-        """Refuse parameters of no motion; raises UserError."""
+        """Raise UserError for invalid parameters."""
         super().__post_init__()
         if self.bodies < 2:
             message = f"bodies: expected two at least; received {self.bodies}"
@@ -49,23 +49,23 @@ class NBody(System):
 
     @property
     def dof(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Two for each body."""
+        """Two per body."""
         return 2 * self.bodies
 
     @property
     def components(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """x1, y1, x2, ... and their momenta."""
+        """Names x1, y1, x2, ... and their momenta."""
         names = [f"{axis}{k + 1}" for k in range(self.bodies) for axis in "xy"]
         return (*names, *(f"p{name}" for name in names))
 
     @property
     def weights(self) -> list[float]:
-        """The masses."""
+        """Masses of the bodies."""
         return self.masses or [self.mass] * self.bodies
 
     @property
     def inertia(self) -> tuple[float, ...]:
-        """The mass of each coordinate."""
+        """Mass of each coordinate."""
         return tuple(mass for mass in self.weights for _ in "xy")
 
     def between(self, q: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -85,7 +85,7 @@ class NBody(System):
         return kinetic - (product / r).sum((-1, -2)) / 2
 
     def force(self, q: Tensor) -> Tensor:
-        """Return what the others pull each body with, shape (..., 2N)."""
+        """Return the attraction of each body by the others, shape (..., 2N)."""
         apart, r, product = self.between(q)
         return -(product / r**3).unsqueeze(-1).mul(apart).sum(-2).flatten(-2)
 
@@ -96,7 +96,7 @@ class NBody(System):
         each = angle[:, None] + 2 * math.pi * torch.arange(self.bodies, dtype=torch.float64) / self.bodies
         outwards = torch.stack((each.cos(), each.sin()), dim=-1)
         along = torch.stack((-each.sin(), each.cos()), dim=-1)
-        # A regular polygon of mean mass m: v^2 = G m / (4 r) sum of 1 / sin(pi k / N).
+        # Regular polygon of mean mass m: v^2 = G m / (4 r) sum of 1 / sin(pi k / N).
         pull = sum(1 / math.sin(math.pi * k / self.bodies) for k in range(1, self.bodies)) / 4
         mean = sum(self.weights) / self.bodies
         speed = (self.gravity * mean * pull / radius).sqrt()[:, None, None]

@@ -1,4 +1,4 @@
-"""The exact flow of satellites of an oblate planet in C, where there is a compiler."""
+"""Exact flow of satellites of an oblate planet in C, if a compiler is available."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class OblateAttraction(NamedTuple):
     """Constants of the equations of motion.
 
     Attributes:
-        mass: of the satellite.
+        mass: mass of the satellite.
         central: -mass mu.
         oblateness: 3/2 J2 r_eq^2.
     """
@@ -36,20 +36,20 @@ class OblateAttraction(NamedTuple):
 
 @cache
 def library() -> ctypes.CDLL | None:
-    """Return the library, or None where there is no C compiler."""
+    """Return the C library, or None without a C compiler."""
     signatures = {"ahnn_oblate_steps": (N, N, P, P, REAL, REAL, REAL, N, P, P, N, P)}
     source = Path(__file__).with_name("oblate.c")
     return compiled_library(source, signatures, "the data of orbits", vectors=True)
 
 
 class OblateFlow:
-    """A flow by a composition of leapfrogs, of states (B, 6) on the CPU; other states follow `flow`.
+    """Composition of leapfrog steps for states (B, 6) on the CPU; other states use `flow`.
 
     Args:
-        flow: what it stands for, of `exact_flow`.
-        constants: of the equations of motion.
+        flow: equivalent flow, from `exact_flow`.
+        constants: constants of the equations of motion.
         method: the composition.
-        longest: step that is not cut into several.
+        longest: longest undivided step.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class OblateFlow:
             return self._followed(x, torch.tensor(float(dt) / count, dtype=torch.float64), count)
         h = dt.to(torch.float64).contiguous()
         counts = substeps_of_each(h.abs().nan_to_num(), self.longest)
-        if bool((counts != counts[0]).any()):  # each its own, whoever is beside it
+        if bool((counts != counts[0]).any()):  # independent of the other members of the batch
             out = torch.empty_like(x)
             for count in counts.unique():
                 own = counts == count
@@ -77,7 +77,7 @@ class OblateFlow:
         return self._followed(x, h / counts[0], int(counts[0]))
 
     def _followed(self, x: Tensor, h: Tensor, count: int) -> Tensor:
-        """Return the states (B, 6) after `count` steps of length h, () or (B,)."""
+        """Propagate states (B, 6) over `count` steps of length h, () or (B,)."""
         out = torch.empty_like(x)
         if len(x) <= PART:
             self._follow(x, h, count, out)

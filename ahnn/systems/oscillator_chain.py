@@ -15,10 +15,10 @@ from ahnn.systems.base import FilterNoise, System, Units
 
 @dataclass(frozen=True, kw_only=True)
 class OscillatorChain(System):
-    """Masses on a line, H = sum p_i^2 / 2m + sum V(q_{i+1} - q_i), between walls or in a ring.
+    """Chain of masses on a line, H = sum p_i^2 / 2m + sum V(q_{i+1} - q_i), between walls or in a ring.
 
     Attributes:
-        masses: how many.
+        masses: number of masses.
         spread: standard deviation of the initial displacements and velocities.
     """
 
@@ -31,7 +31,7 @@ class OscillatorChain(System):
 
     @property
     def dof(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The number of masses."""
+        """Number of masses."""
         return self.masses
 
     @property
@@ -41,15 +41,15 @@ class OscillatorChain(System):
 
     @abstractmethod
     def spring(self, stretch: Tensor) -> tuple[Tensor, Tensor]:
-        """Return V and its slope, shape (...) each, of springs that are stretched."""
+        """Return V and its slope, shape (...) each, for given spring elongations."""
 
     @abstractmethod
     def stretches(self, q: Tensor) -> Tensor:
-        """Return the stretches of the springs, shape (..., S), at the displacements q, shape (..., n)."""
+        """Return the elongations of the springs, shape (..., S), at the displacements q, shape (..., n)."""
 
     @abstractmethod
     def pulled(self, tension: Tensor) -> Tensor:
-        """Return the forces on the masses, shape (..., n), of the tensions of the springs, shape (..., S)."""
+        """Return the forces on the masses, shape (..., n), from the spring tensions, shape (..., S)."""
 
     def energy(self, x: Tensor) -> Tensor:
         """Return the energy, shape (...)."""
@@ -86,11 +86,11 @@ class FermiPastaChain(OscillatorChain):
         return value, stretch + self.alpha * stretch**2 + self.beta * stretch**3
 
     def stretches(self, q: Tensor) -> Tensor:
-        """Return the stretches of n + 1 springs, the first and the last of them held by walls."""
+        """Return the elongations of n + 1 springs, the first and the last attached to walls."""
         return torch.nn.functional.pad(q, (1, 1)).diff(dim=-1)
 
     def pulled(self, tension: Tensor) -> Tensor:
-        """Return what the spring behind each mass pulls more than the one before it."""
+        """Return the difference of tension between the springs after and before each mass."""
         return tension.diff(dim=-1)
 
 
@@ -107,9 +107,9 @@ class TodaChain(OscillatorChain):
         return decay + stretch - 1, 1 - decay
 
     def stretches(self, q: Tensor) -> Tensor:
-        """Return the stretches of n springs, that of the last one to the first mass."""
+        """Return the elongations of n springs, the last one attached to the first mass."""
         return q.roll(-1, dims=-1) - q
 
     def pulled(self, tension: Tensor) -> Tensor:
-        """Return what the spring behind each mass pulls more than the one before it."""
+        """Return the difference of tension between the springs after and before each mass."""
         return tension - tension.roll(1, dims=-1)

@@ -1,4 +1,4 @@
-"""The plane pendulum: H = p^2 / 2 m l^2 + m g l (1 - cos q)."""
+"""Plane pendulum: H = p^2 / 2 m l^2 + m g l (1 - cos q)."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from ahnn.systems.base import FilterNoise, System, Units, uniform
 
 @dataclass(frozen=True, kw_only=True)
 class Pendulum(System):
-    """A point mass on a rigid rod; the coordinate is the angle from the downward vertical.
+    """Point mass on a rigid rod; the coordinate is the angle from the downward vertical.
 
     Attributes:
-        length: of the rod in m.
+        length: length of the rod in m.
         gravity: acceleration in m/s^2.
         q0: range of the initial angle in rad; the pendulum starts at rest.
     """

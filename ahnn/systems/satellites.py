@@ -1,4 +1,4 @@
-"""Satellites of a planet: orbits drawn by their elements, for every model of the planet's gravity."""
+"""Base class of satellites of a planet, with random orbital elements, for any gravity model."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from ahnn.systems.orbits import Elements, period, state_at_periapsis
 
 
 class Planet(NamedTuple):
-    """What the elements of an orbit refer to.
+    """Central planet of orbital elements.
 
     Attributes:
         mu: gravitational parameter in km^3/s^2.
-        radius: equatorial, in km.
+        radius: equatorial radius in km.
     """
 
     mu: float
@@ -35,11 +35,10 @@ class SatelliteSystem(System):
 
     Attributes:
         altitude: range of the periapsis altitude in km above the equatorial radius.
-        eccentricity: range, dimensionless.
-        inclination: range in degrees.
-        raan: range of the right ascension of the ascending node, in degrees.
+        eccentricity: range of the eccentricity.
+        inclination: range in degrees. raan: range of the right ascension of the ascending node, in degrees.
         argument_of_periapsis: range in degrees.
-        periods: length of each trajectory in its own two-body periods; None means `steps` for all.
+        periods: length of each trajectory in two-body periods; None for `steps` for all.
     """
 
     altitude: Range = (540.0, 560.0)
@@ -55,7 +54,7 @@ class SatelliteSystem(System):
     noise = FilterNoise(position=10.0**0.5, velocity=1e-3**0.5, measurement=1.0)
 
     def __post_init__(self) -> None:
-        """Refuse what makes no orbit; raises UserError."""
+        """Raise UserError for invalid orbits."""
         super().__post_init__()
         radius = self.planet.radius
         if self.altitude[0] <= -radius:
@@ -65,10 +64,10 @@ class SatelliteSystem(System):
     @property
     @abstractmethod
     def planet(self) -> Planet:
-        """The planet that the elements refer to."""
+        """Central planet of the orbital elements."""
 
     def initial_states(self, count: int, generator: Generator) -> Tensor:
-        """Draw orbits uniformly in their elements and return their states at periapsis, shape (count, 6)."""
+        """Draw orbital elements uniformly and return states at periapsis, shape (count, 6)."""
         altitude = uniform(self.altitude, count, generator)
         elements = Elements(
             periapsis=self.planet.radius + altitude,
@@ -80,7 +79,7 @@ class SatelliteSystem(System):
         return state_at_periapsis(elements, self.planet.mu, self.mass)
 
     def phases(self, x: Tensor) -> dict[str, Tensor]:
-        """Return which of the states x, shape (..., 6), lie within two equatorial radii of the centre."""
+        """Return the mask of states x, shape (..., 6), within two equatorial radii of the centre."""
         distance = x[..., :3].norm(dim=-1) / self.planet.radius
         return {"inside 2 radii": distance <= 2.0, "outside 2 radii": distance > 2.0}
 

@@ -1,4 +1,4 @@
-"""The exact flow of a system, at a step that is fine enough for it to be called exact."""
+"""Exact flow of a system, with step sizes chosen by accuracy."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from ahnn.systems.base import System
 from ahnn.types import Flow, TimeStep
 
 ACCURACY = 1e-10
-"""Error of a whole trajectory, as a fraction of the size of positions and of momenta."""
+"""Tolerated error of a whole trajectory, relative to the size of positions and of momenta."""
 TRIED, STEPS = 16, 24
-"""Trajectories and sampling intervals of a trial."""
+"""Number of trajectories and sampling intervals in a trial."""
 FINEST = 64
-"""Most substeps of a sampling interval."""
+"""Maximum number of substeps of a sampling interval."""
 DIFFERENCE = 1e-3
-"""Half width of central differences of a flow, in deviations of the system's default starts."""
+"""Half-width of central differences of a flow, in default initial standard deviations of the system."""
 _KNOWN: dict[str, int] = {}
-"""What was found for the systems of this process; their parameters may be lists, which no cache takes."""
+"""Cache of results per system in this process; a list, since parameters may be unhashable."""
 
 
 def exact_flow(system: System) -> Flow:
-    """Return the flow of a system by its own integrator, in as many substeps as its accuracy needs.
+    """Return the flow of a system by its own integrator, with as many substeps as accuracy requires.
 
     Raises:
         UserError: no admissible number of substeps is accurate.
@@ -42,30 +42,30 @@ def exact_flow(system: System) -> Flow:
 
 
 def varied_flow(system: System, constants: Mapping[str, Tensor]) -> Flow:
-    """Return the exact flow of a system some of whose constants differ from state to state.
+    """Return the exact flow of a system with constants that differ between states.
 
     Args:
-        system: says how many substeps its own flow needs, which the others take, too.
-        constants: by name, (B, 1) each for states (B, D).
+        system: system whose number of substeps is used for all.
+        constants: constants by name, (B, 1) each for states (B, D).
 
     Raises:
         UserError: no admissible number of substeps is accurate.
     """
     varied = copy.copy(system)
     for name, values in constants.items():
-        object.__setattr__(varied, name, values)  # frozen, and its checks expect one number for all
-    vars(varied).pop("forces", None)  # made of the constants of before
+        object.__setattr__(varied, name, values)  # frozen, and its checks expect single numbers
+    vars(varied).pop("forces", None)  # computed from the previous constants
     return SubstepsFlow(varied, accurate_substeps(system))
 
 
 def accurate_substeps(system: System) -> int:
-    """Return into how many substeps the sampling interval is cut.
+    """Return the number of substeps per sampling interval.
 
-    The error of a trial with n substeps is its difference from the same with 2n, taken to grow in proportion
-    to the time up to the length of a trajectory.
+    The error of a trial with n substeps is its difference from one with 2n, extrapolated in proportion to
+    time to the length of a trajectory.
 
     Raises:
-        UserError: even the finest step misses `ACCURACY`; nothing could be scored against such a truth.
+        UserError: the finest step does not reach `ACCURACY`, so the truth is unusable for scores.
     """
     if (key := repr((type(system), system))) in _KNOWN:
         return _KNOWN[key]
@@ -101,18 +101,18 @@ def _trial_error(system: System, count: int) -> float:
         float(difference.norm(dim=-1).max() / extent.norm(dim=-1).max()) for difference, extent in blocks
     ]
     worst = max(errors) * whole / steps
-    return worst if math.isfinite(worst) else 0.0  # who generates it will see it diverge
+    return worst if math.isfinite(worst) else 0.0  # the divergence is reported on generation
 
 
 class SubstepsFlow(NamedTuple):
-    """The flow of a system with `number` substeps in a sampling interval, in proportion for other steps."""
+    """Flow of a system with `number` substeps per sampling interval, and proportional for other steps."""
 
     system: System
     number: int
 
     @property
     def clock(self) -> int:
-        """Clock coordinates of its states."""
+        """Number of clock coordinates of its states."""
         return self.system.clock
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
@@ -126,7 +126,7 @@ class SubstepsFlow(NamedTuple):
         return x
 
     def _of_members(self, x: Tensor, dt: Tensor, parts: Tensor) -> Tensor:
-        """Return the states (B, D) after steps (B,), each in parts (B,) of its own, whoever is beside it."""
+        """Propagate states (B, D) over steps (B,) with individual numbers of parts (B,)."""
         integrator, length = INTEGRATORS[self.system.integrator], dt / parts
         for k in range(int(parts.max())):
             x = torch.where((parts > k).unsqueeze(-1), integrator.step(self.system, x, length), x)
@@ -138,7 +138,7 @@ class SubstepsFlow(NamedTuple):
 
     @property
     def half(self) -> Tensor:
-        """Half widths of differences, (2 (n + k),); those of a clock as fractions of an interval."""
+        """Half-widths of differences, (2 (n + k),); those of the clock are fractions of an interval."""
         position, momentum = (DIFFERENCE * self.system.deviations()).chunk(2)
         rates = position.new_full((self.clock,), DIFFERENCE)
         return torch.cat((position, self.system.dt * rates, momentum, rates))

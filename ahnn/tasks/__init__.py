@@ -1,4 +1,4 @@
-"""Tasks of the field with published scores, drawn anew from what their papers say."""
+"""Benchmark tasks with published scores, regenerated from the descriptions in their papers."""
 
 from ahnn.tasks import flow_maps, one_orbit, three_points
 from ahnn.tasks.bodies import THREE, TWO

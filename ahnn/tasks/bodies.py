@@ -27,7 +27,7 @@ SOURCE = "greydanus/hamiltonian-nn, Apache 2.0; Greydanus, Dzamba & Yosinski 201
 
 
 def two(count: int, generator: np.random.Generator) -> Tensor:
-    """Return nearly circular orbits of two bodies, (count, 8); each velocity component is off by 5 %."""
+    """Return nearly circular orbits of two bodies, (count, 8); with velocity errors of 5 % per component."""
     angle = generator.uniform(0, 2 * math.pi, count)
     radius = generator.uniform(0.5, 1.5, count)
     q = radius[:, None] * np.stack((np.cos(angle), np.sin(angle)), axis=1)
@@ -37,7 +37,7 @@ def two(count: int, generator: np.random.Generator) -> Tensor:
 
 
 def three(count: int, generator: np.random.Generator) -> Tensor:
-    """Return bodies begun on a turning triangle, (count, 12); velocity components are off by up to 20 %."""
+    """Return bodies on a rotating triangle, (count, 12); velocity components have errors up to 20 %."""
     seeded = torch.Generator().manual_seed(int(generator.integers(2**31)))
     return NBody(name="three_body", dt=0.1, steps=1).initial_states(count, seeded)
 
@@ -45,7 +45,7 @@ def three(count: int, generator: np.random.Generator) -> Tensor:
 def draw(
     k: int, *, bodies: int, orbits: int, samples: int, duration: float, tested: tuple[int, float]
 ) -> Draw:
-    """Return exact orbits, and a score over some starts for some time."""
+    """Draw exact orbits, and a score over given starts and duration."""
     begin = two if bodies == 2 else three
     system = NBody(name=f"{bodies}_bodies", bodies=bodies, dt=duration / (samples - 1), steps=samples - 1)
     with torch.no_grad():

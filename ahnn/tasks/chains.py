@@ -17,7 +17,7 @@ from ahnn.types import Trajectories
 SOURCE = "mfinzi/constrained-hamiltonian-neural-networks, MIT; Finzi, Wang & Wilson 2020, arXiv:2010.13581"
 CHUNKS, SAMPLES, STEP = 800, 5, 0.03
 LATEST = 300
-"""Steps after its start at which the chunk of a trajectory ends, at most."""
+"""Maximum end of a trajectory chunk, in steps after its start."""
 TESTED, LONG = 200, 100
 LONGER = ("network=wide_128", "trainer.max_epochs=200")
 
@@ -28,9 +28,9 @@ def points(q: np.ndarray, lengths: np.ndarray) -> np.ndarray:
 
 
 def begin(count: int, system: ChainPendulum, generator: np.random.Generator) -> Tensor:
-    """Return starts (count, 2n): normal angles, ends of links displaced by 0.2 m, random velocities.
+    """Return starts (count, 2n): normal angles, link ends displaced by 0.2 m, random velocities.
 
-    Displaced ends are put back on the rods link by link, and velocities by least squares.
+    Displaced ends are projected on the rods link by link, and velocities by least squares.
     """
     n, lengths = system.links, np.array(system.lengths)
     q, omega = generator.standard_normal((2, count, n))
@@ -63,7 +63,7 @@ def seen(x: Tensor, system: ChainPendulum) -> Tensor:
 
 
 def draw(k: int, *, links: int) -> Draw:
-    """Return chunks of trajectories of one chain of random masses and lengths, at random times."""
+    """Draw chunks of trajectories of one chain of random masses and lengths, at random times."""
     generator = numbers(k)
     masses, lengths = generator.uniform(0.6, 1.4, (2, links))
     system = ChainPendulum(
@@ -94,7 +94,7 @@ def draw(k: int, *, links: int) -> Draw:
 
 
 def chain(links: int, floor: float, **published: float) -> FieldTask:
-    """Return the task of a chain of so many links."""
+    """Build the task of a chain with a given number of links."""
     return FieldTask(
         f"chain of {links} pendulums from {CHUNKS} chunks of {SAMPLES} states, {STEP:g} apart",
         SOURCE,

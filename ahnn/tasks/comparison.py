@@ -1,4 +1,4 @@
-"""Scores of a task beside those that were published, as a text of 80 columns."""
+"""Table of own and published scores of a task, 80 columns."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from ahnn.tasks.definition import FieldTask
 
 WIDTH = 80
 OWN = ("score", "seconds", "floor")
-"""Names of what is written of a training; all others are further scores."""
+"""Names of saved training information; all others are further scores."""
 Scores = Mapping[str, Sequence[Mapping[str, float]]]
-"""What was written of the draws, by model."""
+"""Saved results of the draws, by model."""
 
 
 def table(name: str, task: FieldTask, scores: Scores) -> str:
-    """Return a line for each model: median and range over the draws, beside the best published score.
+    """Format one line per model: median and range over the draws, and the best published score.
 
     Args:
-        name: of the task.
-        task: what it is.
-        scores: `score` and `seconds` of each draw, and `floor` or further scores where the task has them.
+        name: name of the task.
+        task: definition of the task.
+        scores: `score` and `seconds` of each draw, and `floor` or further scores if available.
     """
     floors = sorted({one["floor"] for found in scores.values() for one in found if "floor" in one})
     known = ", ".join(f"{key} {value:.2g}" for key, value in task.published.items()) or "figures only"
@@ -49,7 +49,7 @@ def table(name: str, task: FieldTask, scores: Scores) -> str:
 
 
 def reference(task: FieldTask, floors: Sequence[float]) -> tuple[float, str]:
-    """Return what scores are compared with, 0 for nothing, and the head of that column."""
+    """Return the reference score, 0 for none, and its column header."""
     if task.published:
         best = min(task.published, key=lambda key: task.published[key])
         return task.published[best], f"of {best}'s"
@@ -58,12 +58,12 @@ def reference(task: FieldTask, floors: Sequence[float]) -> tuple[float, str]:
 
 
 def spread(values: Sequence[float]) -> str:
-    """Return the range of some numbers."""
+    """Format the range of numbers."""
     return f"{min(values):.2g} to {max(values):.2g}"
 
 
 def verdict(task: FieldTask, scores: Scores) -> str:
-    """Return in how many draws each model is better than the best published score; "" without one."""
+    """Return the number of draws in which each model beats the best published score; "" without one."""
     if not (task.published and scores):
         return ""
     unit, of = reference(task, [])

@@ -1,4 +1,4 @@
-"""A task of the field: data drawn from a number, models that learn them, a score, and what was published."""
+"""Definition of a benchmark task: random data, models, score, and published results."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ Predict = Callable[[Tensor, int, float], Tensor]
 
 
 class Draw(NamedTuple):
-    """What a model learns from, and how it is judged.
+    """Data and score of one draw.
 
     Attributes:
         data: trajectories of training, validation and test, in this order.
-        space: of their states.
+        space: space of their states.
         split: fractions of the three.
-        score: of predictions; less is better.
-        options: overrides of `ahnn.fit` that this drawing needs, such as the size of its noise.
-        floor: the least score that its data allow; None where nobody knows one.
+        score: score of predictions; lower is better.
+        options: overrides of `ahnn.fit` required by this draw, such as its noise level.
+        floor: lowest score allowed by the data; None if unknown.
         also: other scores of the same predictions, by name.
     """
 
@@ -42,18 +42,18 @@ class Draw(NamedTuple):
 
 
 class FieldTask(NamedTuple):
-    """A task of the field.
+    """Benchmark task.
 
     Attributes:
-        title: what is learned, on one line.
+        title: one-line description.
         source: paper or repository that defines it, with licence.
-        quantity: what the score is.
-        differs: from the published setting.
-        published: scores by their name there; none where the paper has figures only.
-        models: overrides of `ahnn.fit` by the name of a row.
-        draw: k -> the k-th drawing of data and starts.
-        floor: the published one, or what the true form with free constants scores; None where drawings have
-            floors of their own, or where nobody measured one.
+        quantity: description of the score.
+        differs: differences from the published setting.
+        published: published scores by name; empty if the paper has figures only.
+        models: overrides of `ahnn.fit` by row name.
+        draw: k -> the k-th draw of data and starts.
+        floor: published floor, or score of the true form with free constants; None if draws have their own
+            floors, or if unknown.
     """
 
     title: str
@@ -71,13 +71,13 @@ def energy_error(
 ) -> float:
     """Return the mean squared difference between the true energies of predicted states and of their starts.
 
-    That of the true motion is conserved, so that it stands for the whole of it (Greydanus et al. 2019).
+    True motion conserves energy, so the starts represent all times (Greydanus et al. 2019).
 
     Args:
-        predict: the model.
-        starts: (B, 2n).
-        steps: of the prediction.
-        dt: length of a step.
+        predict: model.
+        starts: (B, 2n) initial states.
+        steps: number of prediction steps.
+        dt: step length.
         energy: H of states (..., 2n), shape (...).
     """
     found = energy(predict(starts, steps, dt))
@@ -94,7 +94,7 @@ def flow_through_encounters(system: System, parts: int = 64) -> Flow:
 
 
 def numbers(draw: int, use: int = 0) -> np.random.Generator:
-    """Return random numbers for a drawing; those of another use are independent of them."""
+    """Return a random generator for a draw, independent between uses."""
     return np.random.default_rng((draw, use))
 
 

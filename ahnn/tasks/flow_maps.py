@@ -1,7 +1,7 @@
-"""Pendulum, double pendulum and three bodies from exact states that are far apart (Horn et al. 2025).
+"""Pendulum, double pendulum and three bodies from exact, widely spaced states (Horn et al. 2025).
 
-The tasks of maps from one sample to the next, and of the fields they are compared with, all of which have
-the same budget: so many epochs of second-order steps on all windows.
+Tasks for maps from one sample to the next, and for fields, with the same budget: a number of epochs of
+second-order steps on all windows.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ SPLIT = (0.8, 0.1, 0.1)
 
 
 class Sampling(NamedTuple):
-    """Which trajectories a map learns from, and which it is tested on.
+    """Training and test trajectories of a map.
 
     Attributes:
-        system: that moves; its interval is the step of the map, its steps those of the training.
-        runs: how many, of which a tenth validates and a tenth tests.
-        tested: steps of a test.
+        system: system; its interval is the step of the map, its steps those of the training.
+        runs: number of trajectories, a tenth each for validation and test.
+        tested: number of test steps.
         begin: (count, draw) -> starts.
-        quarter: whether trajectories end where the first coordinate passes zero: a quarter of a swing.
+        quarter: whether trajectories end at the zero crossing of the first coordinate, a quarter of a swing.
     """
 
     system: System
@@ -44,13 +44,13 @@ class Sampling(NamedTuple):
 
 
 def hanging(count: int, draw: int, *, links: int, most: float) -> Tensor:
-    """Return pendulums at rest at uniform angles of at most so many half turns, (count, 2 links)."""
+    """Return pendulums at rest at uniform angles up to a number of half turns, (count, 2 links)."""
     q = states(numbers(draw).uniform(-most * math.pi, most * math.pi, (count, links)))
     return torch.cat((q, torch.zeros_like(q)), dim=-1)
 
 
 def bodies(count: int, draw: int) -> Tensor:
-    """Return three bodies begun on a turning triangle, (count, 12)."""
+    """Return three bodies on a rotating triangle, (count, 12)."""
     return THREE.initial_states(count, torch.Generator().manual_seed(draw))
 
 
@@ -62,7 +62,7 @@ def first_quarter(exact: Tensor) -> Tensor:
 
 
 def draw(k: int, *, sampling: Sampling) -> Draw:
-    """Return exact trajectories, and the mean absolute error of those that test, angles to a full turn."""
+    """Draw exact trajectories, with the mean absolute error of test trajectories, angles modulo a turn."""
     system, runs = sampling.system, sampling.runs
     starts = sampling.begin(runs, k)
     tests = starts[round(runs * (1 - SPLIT[2])) :]
@@ -83,11 +83,11 @@ def draw(k: int, *, sampling: Sampling) -> Draw:
 
 
 def models(epochs: int, *fields: str, **more: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
-    """Return the models of the field at one budget.
+    """Return the benchmark models for a common budget.
 
     Args:
-        epochs: of the training, on all windows.
-        fields: overrides of the models that have a field.
+        epochs: number of training epochs, on all windows.
+        fields: overrides of models with a field.
         more: further rows.
     """
     budget = (f"trainer.max_epochs={epochs}", "data.windows_per_epoch=null", "plugins=none")

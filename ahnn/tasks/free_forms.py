@@ -1,4 +1,4 @@
-"""Equations of motion whose form is known and whose constants are free: what floors of tasks are made of."""
+"""Equations of motion of known form with free constants, for floors of tasks."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def begin(count: int, size: int, generator: np.random.Generator) -> Tensor:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanarForm(System):
-    """A unit mass in a potential of the plane, begun as `begin` says."""
+    """Unit mass in a planar potential, with starts from `begin`."""
 
     dof = 2
     components = ("q1", "q2", "p1", "p2")
@@ -42,10 +42,10 @@ class PlanarForm(System):
 @final
 @dataclass(frozen=True, kw_only=True)
 class StiffChain(PlanarForm):
-    """The Fermi-Pasta-Ulam-Tsingou chain of soft and stiff springs in turn, one stiff spring of it.
+    """The Fermi-Pasta-Ulam-Tsingou chain of alternating soft and stiff springs, with one stiff spring.
 
     V = w^2 q_2^2 / 2 + s ((q_1 - q_2)^4 + (q_1 + q_2)^4) / 4 (Hairer, Lubich & Wanner, Geometric Numerical
-    Integration, section I.5.1, m = 1): q_1 is the middle of the stiff spring, q_2 its stretch.
+    Integration, section I.5.1, m = 1): q_1 is the middle of the stiff spring, q_2 its elongation.
 
     Attributes:
         stiffness: w.
@@ -74,7 +74,7 @@ class CubicWell(PlanarForm):
     """V = (a x^2 + b y^2) / 2 + c x^2 y - d y^3 / 3; all ones are Hénon-Heiles.
 
     Attributes:
-        a, b, c, d: of the terms.
+        a, b, c, d: coefficients of the terms.
     """
 
     a: Finite = 1.0

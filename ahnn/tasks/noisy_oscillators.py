@@ -23,7 +23,7 @@ SOURCE = "greydanus/hamiltonian-nn, Apache 2.0; Greydanus, Dzamba & Yosinski 201
 
 
 def draw(k: int, *, system: MassSpring | Pendulum, rate: int, radii: tuple[float, float]) -> Draw:
-    """Return trajectories from random directions at a random radius, with noise on every number."""
+    """Draw trajectories from random directions at a random radius, with noise on every value."""
     generator = numbers(k)
     direction = generator.uniform(-1, 1, (TRAJECTORIES, 2))
     radius = generator.uniform(*radii, (TRAJECTORIES, 1))

@@ -15,19 +15,19 @@ from ahnn.tasks.shooting_fit import fitted_start
 from ahnn.types import Trajectories
 
 COUPLING = 0.8
-"""H = (p^2 + q^2) / 2 + mu (x^2 y - y^3 / 3): states times mu move as those of mu = 1."""
+"""Coupling mu of H = (p^2 + q^2) / 2 + mu (x^2 y - y^3 / 3): states times mu move as for mu = 1."""
 DURATION, RATE, TESTED_RATE = 40.0, 4, 10
 NOISE_VARIANCE = 0.05
-"""Of the variance of each component."""
+"""Noise variance relative to the variance of each component."""
 HORIZONS = (21, 61, 161)
-"""Samples that a start is fitted to, one after the other: 5, 15 and 40 units of time."""
+"""Successive numbers of samples for fits of the start: 5, 15 and 40 units of time."""
 PIECES = 7
-"""Of 23 samples each."""
+"""Number of pieces of 23 samples each."""
 SYSTEM = HenonHeiles(name="henon_heiles", dt=1 / RATE, steps=round(2 * DURATION * RATE))
 
 
 def begin(draw: int) -> Tensor:
-    """Return a start (1, 4) of mu = 0.8, uniform in [-1, 1]^4 where motion is bounded."""
+    """Return a start (1, 4) for mu = 0.8, uniform in [-1, 1]^4 with bounded motion."""
     generator = numbers(draw)
     while True:
         x = states(generator.uniform(-1, 1, (1, 4)))
@@ -36,15 +36,15 @@ def begin(draw: int) -> Tensor:
 
 
 def true_motion(x: Tensor, steps: int, dt: float) -> Tensor:
-    """Return the exact motion (B, steps + 1, 4) from states (B, 4)."""
+    """Propagate states (B, 4) exactly; return (B, steps + 1, 4)."""
     return rollout(exact_flow(SYSTEM), COUPLING * x, dt, steps + 1) / COUPLING
 
 
 def draw(k: int) -> Draw:
-    """Return one noisy orbit, and the error of its continuation from the start that fits it best.
+    """Draw one noisy orbit, with the error of its continuation from the best-fitting start.
 
-    Training sees it in pieces, each with a start of its own: shooting through the whole of it has no way to
-    an optimum. There is nothing else to validate and to test on, so that it stands in all three places.
+    Training uses pieces of it with separate starts, since shooting over the whole orbit does not converge. It
+    also serves for validation and test, as there are no other data.
     """
     start = begin(k)
     with torch.no_grad():
@@ -71,7 +71,7 @@ def draw(k: int) -> Draw:
         SYSTEM.space,
         (1 / 3, 1 / 3, 1 / 3),
         score,
-        (f"data.noise={sd.tolist()}", "system.unsound=true"),  # which copies are, without it
+        (f"data.noise={sd.tolist()}", "system.unsound=true"),  # copies would otherwise be treated as leakage
         partial(score, true_motion),
     )
 

@@ -1,7 +1,7 @@
-"""Starts and constants that meet noisy states best, by least squares on predictions alone.
+"""Least-squares fit of starts and constants to noisy states, from predictions only.
 
-What a prediction is compared with begins somewhere: where only noisy states are known, at the start that fits
-these best. The same fit with the true equations is the floor of a task.
+Predictions need an initial state: with noisy states it is the one that fits them best. The same fit with the
+true equations gives the floor of a task.
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ from torch import Tensor
 from ahnn.tasks.definition import Predict
 
 STEP = 1e-5
-"""Half width of central differences, of the size of a component."""
+"""Half-width of central differences, relative to the size of a component."""
 TRIALS, FACTOR, GAUSS_NEWTON = 40, 4.0, 6
 SETTLED, ROUGHLY = 1e-7, 1e-2
-"""Fractions by which squares must fall for another step, of the last fit and of those before it."""
+"""Minimum relative decrease of squares for another step, in the last fit and in earlier ones."""
 
 
 def fitted_start(predict: Predict, observed: Tensor, dt: float, horizons: Sequence[int]) -> Tensor:
-    """Return the start (D,) whose prediction meets noisy states (T, D) best.
+    """Fit the start (D,) whose prediction is closest to noisy states (T, D).
 
-    Chaotic motion has many optima, so that it is fitted to the first samples, then to more.
+    Chaotic motion has many optima, so the first samples are fitted before further ones.
 
     Args:
-        predict: the model.
-        observed: every dt, in units in which their noise is alike.
-        dt: between samples.
-        horizons: samples of each fit, the last one all that count.
+        predict: model.
+        observed: noisy states every dt, in units of equal noise.
+        dt: time between samples.
+        horizons: number of samples of each fit, the last one the total.
     """
     start = observed[0]
     for samples in horizons:
@@ -45,13 +45,13 @@ def fitted_start(predict: Predict, observed: Tensor, dt: float, horizons: Sequen
 def least_squares(
     residuals: Callable[[Tensor], Tensor], start: Tensor, step: Tensor, settled: float = SETTLED
 ) -> Tensor:
-    """Return the unknowns (P,) of least squares by Levenberg's and Marquardt's method.
+    """Solve a least-squares problem in P unknowns by the Levenberg-Marquardt method.
 
     Args:
         residuals: unknowns (B, P) -> residuals (B, R).
-        start: where to begin, (P,).
-        step: half widths of central differences, (P,).
-        settled: fraction by which squares must fall for another step.
+        start: initial unknowns, (P,).
+        step: half-widths of central differences, (P,).
+        settled: minimum relative decrease of squares for another step.
     """
     here, damping = start, 1e-3
     offsets = torch.diag(step)
@@ -80,17 +80,16 @@ def least_squares(
 def fitted_constants(
     predict_of: Callable[[Tensor], Predict], observed: Tensor, dt: float, begin: Tensor
 ) -> Tensor:
-    """Return the constants (P,) of a known form that meet many noisy trajectories (B, T, D) best.
+    """Fit the constants (P,) of a known form to many noisy trajectories (B, T, D).
 
-    Each trajectory has a start of its own, which is eliminated: Gauss-Newton steps from constants near the
-    optimum, whose rows are projected on what no start can explain (Golub & Pereyra 1973, SIAM J. Numer. Anal.
-    10, 413).
+    The starts of trajectories are eliminated: Gauss-Newton steps from constants near the optimum, with rows
+    projected on the complement of the starts (Golub & Pereyra 1973, SIAM J. Numer. Anal. 10, 413).
 
     Args:
-        predict_of: constants (P,) -> a model.
-        observed: every dt, in units in which their noise is alike.
-        dt: between samples.
-        begin: constants to begin at, (P,).
+        predict_of: constants (P,) -> model.
+        observed: noisy states every dt, in units of equal noise.
+        dt: time between samples.
+        begin: initial constants, (P,).
     """
     samples = observed.shape[1]
     starts, constants = observed[:, 0], begin

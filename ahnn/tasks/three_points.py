@@ -41,9 +41,9 @@ def double_pendulum(constants: list[float]) -> System:
 
 
 def draw(k: int, *, form: Callable[[list[float]], System], constants: list[float]) -> Draw:
-    """Return noisy trajectories of four samples, and the error of the flow from other starts.
+    """Draw noisy trajectories of four samples, with the error of the flow from other starts.
 
-    The floor is that of the same form with the constants that fit the training trajectories best.
+    The floor is the error of the same form with constants fitted to the training trajectories.
     """
     system, generator = form(constants), numbers(k)
     flow, size = exact_flow(system), 2 * system.dof
@@ -84,7 +84,7 @@ WAVES = "network=gaussian_process"
 
 
 def task(title: str, form: Callable[[list[float]], System], constants: list[float]) -> FieldTask:
-    """Return the task of a system."""
+    """Build the task of a system."""
     learned = {"network": MEASURED, "gaussian_process": (*MEASURED, WAVES)}
     if form(constants).separable:
         learned["separable_gp"] = (*MEASURED, WAVES, "hamiltonian=separable")

@@ -1,1 +1,1 @@
-"""Real tracking of satellites: files, the Earth, light, forces, orbit determination."""
+"""Satellite tracking: data files, Earth rotation, light time, forces, orbit determination."""

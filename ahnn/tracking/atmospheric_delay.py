@@ -1,4 +1,4 @@
-"""Delay of radio (Saastamoinen) and of laser light (Mendes and Pavlis) in the troposphere, and refraction."""
+"""Tropospheric delay of radio (Saastamoinen) and laser light (Mendes and Pavlis), and refraction."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 SEA_PRESSURE, SEA_TEMPERATURE, SEA_HUMIDITY = 1013.25, 288.15, 0.5
-"""hPa, K and a fraction, of the standard atmosphere."""
+"""Standard atmosphere: hPa, K and a fraction."""
 
 
 class Air(NamedTuple):
-    """The air at a station.
+    """Meteorological data at a station.
 
     Attributes:
         pressure: hPa, (T,).
@@ -27,7 +27,7 @@ class Air(NamedTuple):
 
     @property
     def vapour(self) -> Array:
-        """Pressure of water vapour in hPa (Marini & Murray 1973; IERS Conventions 2010, 9.1.1)."""
+        """Water vapour pressure in hPa (Marini & Murray 1973; IERS Conventions 2010, 9.1.1)."""
         celsius = self.temperature - 273.15
         return self.humidity * 6.11 * 10 ** (7.5 * celsius / (237.3 + celsius))
 
@@ -41,25 +41,25 @@ def standard_air(height: float, size: int) -> Air:
 
 
 def measured_air(weather: Array, height: float) -> Air:
-    """Return the air as measured, (T, 3) of a pressure, a temperature, a humidity; the standard's for NaN."""
+    """Return measured air from (T, 3) pressure, temperature and humidity; standard values for NaN."""
     standard = np.column_stack(standard_air(height, len(weather)))
     return Air(*np.where(np.isfinite(weather), weather, standard).T)
 
 
 def gravity_factor(latitude: float, height: float) -> float:
-    """Return 1 - 0.00266 cos 2 latitude - 0.00028 height in km, Saastamoinen's factor of gravity."""
+    """Return 1 - 0.00266 cos 2 latitude - 0.00028 height in km, Saastamoinen's gravity factor."""
     return 1 - 0.00266 * np.cos(2 * latitude) - 0.00028 * height
 
 
 def radio_delay(elevation: Array, air: Air, latitude: float, height: float) -> Array:
-    """Return the delay of radio waves one way in km.
+    """Return the one-way delay of radio waves in km.
 
     Zenith delay by Saastamoinen (1972) with the gravity of Davis et al. (1985), mapped by Black and Eisner
-    (1984), which holds from 4 degrees up.
+    (1984), valid from 4 degrees up.
 
     Args:
         elevation: rad, (T,).
-        air: at the station.
+        air: air at the station.
         latitude: geodetic, rad.
         height: km.
     """
@@ -69,11 +69,11 @@ def radio_delay(elevation: Array, air: Air, latitude: float, height: float) -> A
 
 
 def laser_delay(elevation: Array, air: Air, wavelength: Array, latitude: float, height: float) -> Array:
-    """Return the delay of laser light one way in km (Mendes & Pavlis 2004; IERS Conventions 2010, 9.1.1).
+    """Return the one-way delay of laser light in km (Mendes & Pavlis 2004; IERS Conventions 2010, 9.1.1).
 
     Args:
         elevation: rad, (T,).
-        air: at the station.
+        air: air at the station.
         wavelength: micrometres, (T,).
         latitude: geodetic, rad.
         height: above the ellipsoid, km.
@@ -114,28 +114,28 @@ def radio_refractivity(air: Air) -> Array:
 
 
 def bending(elevation: Array, air: Air) -> Array:
-    """Return what the air lifts a satellite by, rad, (T,).
+    """Return the refraction in elevation, rad, (T,).
 
-    High up it is (n - 1) cot E, of a flat atmosphere; towards the horizon with the angle of Bennett (1982),
-    cot (E + 7.31 / (E + 4.4)) in degrees, instead of the cotangent.
+    At high elevation it is (n - 1) cot E, for a flat atmosphere; towards the horizon the angle of Bennett
+    (1982) is used, cot (E + 7.31 / (E + 4.4)) in degrees, instead of the cotangent.
 
     Args:
-        elevation: without air, rad, (T,); below -1 degree that of -1 degree counts.
-        air: at the station.
+        elevation: geometric elevation, rad, (T,); clamped at -1 degree.
+        air: air at the station.
     """
     degrees = np.maximum(np.degrees(elevation), -1.0)
     return radio_refractivity(air) / np.tan(np.radians(degrees + 7.31 / (degrees + 4.4)))
 
 
 def bending_by_recommendation(elevation: Array, height: float) -> Array:
-    """Return what the air of the ITU's reference atmosphere lifts a satellite by, rad, (T,).
+    """Return the refraction in elevation of the ITU reference atmosphere, rad, (T,).
 
-    ITU-R P.834-9, equation 14, a fit to elevations up to 10 degrees; above it is too low, at 20 degrees by a
-    third (0.01 degrees).
+    ITU-R P.834-9, equation 14, a fit for elevations up to 10 degrees; at higher elevations it is too low, at
+    20 degrees by a third (0.01 degrees).
 
     Args:
-        elevation: without air, rad, (T,).
-        height: of the station, km.
+        elevation: geometric elevation, rad, (T,).
+        height: height of the station, km.
     """
     e = np.degrees(elevation)
     sea = 1.728 + 0.5411 * e + 0.03723 * e**2

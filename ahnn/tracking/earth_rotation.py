@@ -1,6 +1,6 @@
-"""The turn of the Earth: matrices from GCRF to ITRF by IAU 2006/2000A, with UT1 and polar motion as measured.
+"""Earth rotation: matrices from GCRF to ITRF by IAU 2006/2000A, with measured UT1 and polar motion.
 
-IERS Conventions (2010), chapter 5, by the celestial intermediate origin; the routines are those of ERFA.
+IERS Conventions (2010), chapter 5, based on the celestial intermediate origin, with the routines of ERFA.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ from ahnn.tracking.formats.bulletin_b import EarthOrientation
 
 Array = NDArray[np.float64]
 MJD_2000 = 51544
-"""Modified Julian date of the first day of 2000."""
+"""Modified Julian date of 2000-01-01."""
 TT_TO_TAI = -32.184
 ARCSECOND = np.pi / 648000
 NODES = 3600.0
-"""Seconds between the epochs at which precession and nutation are computed; the shortest terms have days."""
+"""Seconds between epochs of computed precession and nutation, whose shortest terms have periods of days."""
 MARGIN = 4 * NODES
-"""Seconds by which these reach beyond what is asked for."""
+"""Margin of these epochs, in seconds."""
 
 
 class EarthRotation:
     """Matrices from GCRF to ITRF at times.
 
     Args:
-        epoch: of time zero, picoseconds of UTC as in `TrackingData`.
-        first, last: seconds after the epoch between which matrices are asked for.
-        rows: orientation as measured, at least four days that enclose these times. Tides of less than a day
-            in UT1 and in the pole (a few cm on the ground) are left out.
+        epoch: epoch of time zero, picoseconds of UTC as in `TrackingData`.
+        first, last: time span of the matrices, seconds after the epoch.
+        rows: measured orientation, at least four days that enclose this span. Subdaily tides in UT1 and pole
+            (a few cm on the ground) are neglected.
 
     Raises:
-        UserError: the rows do not reach that far, or pyerfa is missing.
+        UserError: the rows do not cover the span, or pyerfa is missing.
     """
 
     def __init__(self, epoch: int, first: float, last: float, rows: EarthOrientation) -> None:
@@ -59,14 +59,14 @@ class EarthRotation:
 
     @cached_property
     def _since(self) -> Array:
-        """The midnights of the rows as seconds after the epoch, leap seconds counted."""
+        """Midnights of the rows in seconds after the epoch, including leap seconds."""
         days = np.round(self.rows.mjd).astype(int) - MJD_2000
         seconds = np.array([int(d) * epochs.DAY + epochs.leaps(int(d)) for d in days])
         return seconds - self.epoch / epochs.SECOND
 
     @cached_property
     def _measured(self) -> CubicSpline:
-        """TAI - 10 s less UT1 in s, the pole's x and y and offsets dX, dY in rad: (T,) -> (T, 5)."""
+        """TAI - 10 s - UT1 in s, pole coordinates x, y and offsets dX, dY in rad: (T,) -> (T, 5)."""
         rows = self.rows
         leaps = np.array([epochs.leaps(round(d) - MJD_2000) for d in rows.mjd])
         angles = ARCSECOND * np.column_stack((rows.x, rows.y, rows.pole))
@@ -84,7 +84,7 @@ class EarthRotation:
         """Return the matrices from GCRF to ITRF at times (T,), shape (T, 3, 3)."""
         measured = self._measured(times)
         tt, fraction = terrestrial(self.epoch, times, "UTC")
-        # The clock of instants is TAI - 10 s, as of all epochs that count the leap seconds since 1972.
+        # Instants are in TAI - 10 s, as all epochs that include the leap seconds since 1972.
         ut1 = fraction + (TT_TO_TAI - 10 - measured[:, 0]) / epochs.DAY
         angle = self._erfa.era00(tt, ut1)
         polar = self._erfa.pom00(measured[:, 1], measured[:, 2], self._erfa.sp00(tt, fraction))

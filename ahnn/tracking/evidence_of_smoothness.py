@@ -1,4 +1,4 @@
-"""How large and how smooth a learned acceleration is, by the evidence of the measurements."""
+"""Size and smoothness of a learned acceleration by maximum evidence."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 DEVIATIONS = np.geomspace(1e-2, 1e3, 21)
-"""Standard deviations that are tried, in units of the basis."""
+"""Candidate standard deviations, in units of the basis."""
 LENGTHS = np.geomspace(0.1, 10.0, 13)
-"""Lengths that are tried, as fractions of the time between the first and the last spline."""
+"""Candidate length scales, as fractions of the time between the first and the last spline."""
 
 
 def chosen_smoothness(
     unknowns: Unknowns, rows: WhitenedRows, weights: Array, x: Array, before: Smoothness
 ) -> Smoothness:
-    """Return the smoothness of the largest evidence, of a grid.
+    """Return the smoothness of maximum evidence on a grid.
 
-    The measurements are linear around a point and their noise normal: the evidence is that of Rasmussen &
-    Williams (2006), 5.8, with what does not depend on the smoothness left out.
+    For measurements linearised about a point and normal noise, the evidence is that of Rasmussen & Williams
+    (2006), 5.8, up to terms independent of the smoothness.
 
     Args:
-        unknowns: with the blocks of learned weights.
-        rows: fitted measurements around the point, whitened.
-        weights: of a robust loss, (M,).
-        x: the point, (Q,).
-        before: returned where there is nothing to learn.
+        unknowns: unknowns with the blocks of learned weights.
+        rows: whitened, linearised measurements.
+        weights: weights of a robust loss, (M,).
+        x: linearisation point, (Q,).
+        before: smoothness returned if there is nothing to learn.
     """
     if not unknowns.smooth:
         return before
     basis = unknowns.smooth[0].basis
     square = rows.by.T @ (weights[:, None] * rows.by)
-    # What the measurements say of the unknowns themselves, and not of a step from the point.
+    # Information on the unknowns themselves, instead of a step from the point.
     free = unknowns.free
     pull = rows.by.T @ (weights * (rows.e + rows.by @ (x - unknowns.mean)[free]))
     found = []

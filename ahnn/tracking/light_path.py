@@ -1,4 +1,4 @@
-"""The way of a signal between a station and a satellite, there and back, by the time that light takes."""
+"""Light-time solution of the two-way path between a station and a satellite."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ Array = NDArray[np.float64]
 Motion = Callable[[Array], Array]
 """Times (T,) -> positions (T, 3) in GCRF, km."""
 ROUNDS = 4
-"""Of the fixed point; each takes off a factor of the speed over that of light, 1e-5."""
+"""Number of fixed-point iterations; each reduces the error by the ratio of speed to that of light, 1e-5."""
 
 
 class LightPath(NamedTuple):
-    """Where and when a signal was.
+    """Times and vectors of a signal path.
 
     Attributes:
         bounce: time at the satellite, (T,).
         transmit, receive: times at the station, (T,).
-        up: from the station that sends to the satellite, (T, 3) km.
-        down: from the station that receives to the satellite, (T, 3) km.
-        site: the station that receives, (T, 3) km.
+        up: vector from the transmitting station to the satellite, (T, 3) km.
+        down: vector from the receiving station to the satellite, (T, 3) km.
+        site: position of the receiving station, (T, 3) km.
     """
 
     bounce: Array
@@ -38,7 +38,7 @@ class LightPath(NamedTuple):
 
 
 def light_path(satellite: Motion, site: Motion, times: Array, event: Event) -> LightPath:
-    """Return the path of signals whose times tag an event, (T,)."""
+    """Return the path of signals, given the times of an event, (T,)."""
     known = site(times)
     if event == "bounce":
         bounce, place = times, satellite(times)
@@ -58,7 +58,7 @@ def light_path(satellite: Motion, site: Motion, times: Array, event: Event) -> L
 
 
 def _at_station(site: Motion, bounce: Array, place: Array, sign: float) -> tuple[Array, Array]:
-    """Return when a signal is at the station after the satellite, for sign -1 before it, and where."""
+    """Return time and position at the station after (for sign -1 before) the bounce at the satellite."""
     time, where = bounce, site(bounce)
     for _ in range(ROUNDS):
         time = bounce + sign * np.linalg.norm(place - where, axis=1) / LIGHT

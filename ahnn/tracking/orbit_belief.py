@@ -1,4 +1,4 @@
-"""What is known of an orbit at a time, with all that is estimated beside it: where a filter begins."""
+"""Initial belief of a filter: orbit at a time with the other estimated quantities."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def components_of(unknowns: Unknowns) -> tuple[str, ...]:
 
 
 def fitted_belief(fit: OrbitFit, time: float) -> OrbitBelief:
-    """Return what a fit knows at a time of its path."""
+    """Return the belief of a fit at a time of its arc."""
     unknowns, at = fit.problem.unknowns, np.array([time])
     free, count = unknowns.free, SIZE + unknowns.forces
     moved = np.eye(len(free))
@@ -50,7 +50,7 @@ def fitted_belief(fit: OrbitFit, time: float) -> OrbitBelief:
 
 
 def prior_belief(problem: OrbitProblem, covariance: Array) -> OrbitBelief:
-    """Return what is known of a problem before its measurements, with the covariance (6, 6) of its start.
+    """Return the prior belief of a problem, with the covariance (6, 6) of its start.
 
     Raises:
         UserError: nothing is known of a parameter or a bias, and so no filter can begin.

@@ -1,8 +1,9 @@
-"""Orbit determination: start, coefficients, biases and learned accelerations from what stations measured.
+"""Orbit determination: initial state, coefficients, biases and learned accelerations from tracking data.
 
 Gauss-Newton on weighted residuals and priors (Tapley, Schutz & Born, Statistical Orbit Determination, 4.3),
-with steps halved where they do not go down. First by squares with the noise that is given; then by a robust
-loss, the noise estimated from the residuals and the smoothness of learned accelerations by the evidence.
+with steps halved unless the cost decreases. The first fit uses least squares with the given noise; then a
+robust loss, with noise estimated from residuals and the smoothness of learned accelerations by maximum
+evidence.
 """
 
 from __future__ import annotations
@@ -27,25 +28,25 @@ log = logging.getLogger(__name__)
 Array = NDArray[np.float64]
 STEPS, HALVINGS = 25, 8
 NEAR, FINE = 30.0, 0.03
-"""Largest step in standard deviations at which noise and smoothness are chosen, and the fit ends."""
+"""Largest step in standard deviations at which noise and smoothness are re-estimated, and the fit ends."""
 STEADY = 0.03
-"""Change of the noise from step to step at which the fit may end."""
+"""Relative change of the noise between steps below which the fit may end."""
 
 
 @dataclass(frozen=True, eq=False)
 class OrbitProblem:
-    """All that is known before a fit.
+    """Definition of an orbit determination problem.
 
     Attributes:
-        forces: on the satellite.
-        model: of the measurements, with them.
-        unknowns: what is estimated.
-        noise: standard deviations by station and kind, (stations, 6), km, rad and km/s; where the fit begins.
-        used: which measurements are fitted, (N,) bool.
-        at: time of the start.
-        robust: whether by Huber's loss.
-        noise_known: whether the noise stays as it is given.
-        smooth: where the choice of the smoothness begins.
+        forces: forces on the satellite.
+        model: measurement model with these forces.
+        unknowns: estimated quantities.
+        noise: standard deviations by station and kind, (stations, 6), km, rad and km/s; initial values.
+        used: mask of fitted measurements, (N,) bool.
+        at: time of the initial state.
+        robust: whether to use Huber's loss.
+        noise_known: whether to keep the given noise.
+        smooth: initial smoothness.
     """
 
     forces: Forces
@@ -60,12 +61,12 @@ class OrbitProblem:
 
 
 class LinearisedOrbit(NamedTuple):
-    """The measurements around one point.
+    """Measurements linearised about a point.
 
     Attributes:
-        x: the point, (Q,).
-        arc: the path.
-        residuals: measured less predicted, (N, 6); NaN where nothing was measured.
+        x: linearisation point, (Q,).
+        arc: satellite arc.
+        residuals: measured minus predicted, (N, 6); NaN where missing.
         by_unknowns: derivatives of the prediction, (N, 6, Q).
         elevation: (N,) rad.
     """
@@ -79,15 +80,15 @@ class LinearisedOrbit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class OrbitFit:
-    """What a fit found.
+    """Result of a fit.
 
     Attributes:
-        problem: that was solved.
-        point: the measurements around the solution.
-        covariance: of the unknowns, (Q, Q); 0 of those that are not estimated.
+        problem: problem solved.
+        point: measurements linearised about the solution.
+        covariance: covariance of the unknowns, (Q, Q); 0 for those not estimated.
         noise: standard deviations by station and kind, (stations, 6).
-        smooth: the smoothness of learned accelerations.
-        steps: of the whole fit.
+        smooth: smoothness of learned accelerations.
+        steps: number of steps.
         converged: whether the last step was below the tolerance.
     """
 
@@ -106,17 +107,18 @@ class OrbitFit:
 
     @property
     def predicted_deviations(self) -> Array:
-        """Those of unseen measurements, of the unknowns and the noise together, (N, 6)."""
+        """Standard deviations of unseen measurements, from unknowns and noise, (N, 6)."""
         by = self.point.by_unknowns
         known = np.einsum("nkq,qp,nkp->nk", by, self.covariance, by)
         return np.sqrt(known + self.scatter[self.problem.model.data.station] ** 2)
 
     @property
     def scatter(self) -> Array:
-        """Root mean squares of the fitted residuals by station and kind, (stations, 6), as small as they are.
+        """Root mean squares of fitted residuals by station and kind, (stations, 6).
 
-        They are the noise of a single measurement; the noise of the fit is larger where neighbouring
-        measurements err alike, as angles do. Where fewer than ten were fitted those of all stations count.
+        They represent the noise of single measurements; the noise of the fit is larger if errors of
+        neighbouring measurements are correlated, as for angles. For fewer than ten fitted values those of all
+        stations are used.
         """
         return scatter_of(
             self.point.residuals, self.problem.model.data.station, self.problem.used, self.noise
@@ -124,7 +126,7 @@ class OrbitFit:
 
 
 def linearised(problem: OrbitProblem, x: Array) -> LinearisedOrbit:
-    """Return residuals and derivatives at a point (Q,); raises TrainingError where they are not finite."""
+    """Return residuals and derivatives at a point (Q,); raises TrainingError if not finite."""
     data, unknowns = problem.model.data, problem.unknowns
     p = x[6 : 6 + unknowns.forces]
     first, last = min(problem.at, data.times[0] - 1.0), max(problem.at, data.times[-1] + 1.0)
@@ -144,13 +146,13 @@ def linearised(problem: OrbitProblem, x: Array) -> LinearisedOrbit:
 
 
 class WhitenedRows(NamedTuple):
-    """The fitted measurements in one row each.
+    """Whitened fitted measurements, one per row.
 
     Attributes:
         e: residuals in standard deviations, (M,).
-        by: their derivatives by the free unknowns, with the opposite sign, (M, F).
-        group: which noise each has, station * 6 + kind, (M,).
-        sd: its standard deviation, (M,).
+        by: negative derivatives with respect to the free unknowns, (M, F).
+        group: index of the noise, station * 6 + kind, (M,).
+        sd: noise standard deviation, (M,).
     """
 
     e: Array
@@ -160,7 +162,7 @@ class WhitenedRows(NamedTuple):
 
 
 def rows_of(problem: OrbitProblem, point: LinearisedOrbit, noise: Array) -> WhitenedRows:
-    """Return the measurements that are fitted, whitened."""
+    """Return the whitened fitted measurements."""
     station = problem.model.data.station
     seen = np.isfinite(point.residuals) & problem.used[:, None]
     n, kind = np.nonzero(seen)
@@ -170,10 +172,10 @@ def rows_of(problem: OrbitProblem, point: LinearisedOrbit, noise: Array) -> Whit
 
 
 def orbit_fit(problem: OrbitProblem) -> OrbitFit:
-    """Return the fit of a problem.
+    """Solve an orbit determination problem.
 
     Raises:
-        TrainingError: no step goes down from a point that is no solution, or a path cannot be continued.
+        TrainingError: no step decreases the cost before convergence, or an arc cannot be propagated.
     """
     noise, smooth, free = problem.noise, problem.smooth, problem.unknowns.free
     point, robust, steady, converged = linearised(problem, problem.unknowns.mean.copy()), False, False, False
@@ -202,7 +204,7 @@ def orbit_fit(problem: OrbitProblem) -> OrbitFit:
 def refined(
     problem: OrbitProblem, point: LinearisedOrbit, covariance: Array, noise: Array, smooth: Smoothness | None
 ) -> tuple[Array, Smoothness | None]:
-    """Return noise and smoothness as the residuals around a point have them."""
+    """Estimate noise and smoothness from the residuals at a point."""
     rows = rows_of(problem, point, noise)
     weights = huber_weights(rows.e) if problem.robust else np.ones_like(rows.e)
     if not problem.noise_known:
@@ -214,7 +216,7 @@ def refined(
 
 
 def scaled_inverse(normal: Array) -> Array:
-    """Return the inverse of a positive definite matrix whose rows have different units."""
+    """Return the inverse of a positive definite matrix with rows of different units."""
     scale = 1 / np.sqrt(np.diagonal(normal))
     return np.linalg.inv(normal * scale * scale[:, None]) * scale * scale[:, None]
 
@@ -222,10 +224,10 @@ def scaled_inverse(normal: Array) -> Array:
 def lower(
     problem: OrbitProblem, point: LinearisedOrbit, step: Array, noise: Array, weights: Array, precision: Array
 ) -> LinearisedOrbit:
-    """Return the point after a step, halved until the cost goes down.
+    """Return the point after a step, halved until the cost decreases.
 
     Raises:
-        TrainingError: it never does.
+        TrainingError: the cost never decreases.
     """
     free, mean = problem.unknowns.free, problem.unknowns.mean
 

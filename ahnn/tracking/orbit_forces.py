@@ -1,4 +1,4 @@
-"""The accelerations that a setup names, with what is known of their parameters before the fit."""
+"""Accelerations of a setup, with priors of their parameters."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from ahnn.tracking.sun_and_moon import MOON_MU, SUN_MU, SunAndMoon
 log = logging.getLogger(__name__)
 
 LONGEST = 900.0
-"""Longest step in s; a spline has at least two in each piece."""
+"""Maximum step in s; at least two steps per spline piece."""
 
 
 class PreparedForces(NamedTuple):
     """Forces with their parameters.
 
     Attributes:
-        forces: on the satellite.
-        mean, deviations: of the parameters before the fit.
-        learned: the learned term and the place of its first parameter, if there is one.
+        forces: forces on the satellite.
+        mean, deviations: prior means and standard deviations of the parameters.
+        learned: learned term and index of its first parameter, or None.
     """
 
     forces: Forces
@@ -45,10 +45,10 @@ class PreparedForces(NamedTuple):
 
 
 def gravity_field(choice: GravityChoice, date: str, *, tides: bool) -> GravityField:
-    """Return the field of a choice; without the permanent tide where tides come as a term of their own.
+    """Load the gravity field of a choice, tide-free if tides are a separate term.
 
     Raises:
-        UserError: no such file, or a degree that it does not reach.
+        UserError: the file is missing, or its degree is too low.
     """
     if choice.field == "eigen6s":
         field = eigen6s()
@@ -71,15 +71,15 @@ def gravity_field(choice: GravityChoice, date: str, *, tides: bool) -> GravityFi
 def prepared_forces(
     choice: ForcesChoice, date: str, rotation: EarthRotation, bodies: SunAndMoon, first: float, last: float
 ) -> PreparedForces:
-    """Return the forces of a choice.
+    """Build the forces of a choice.
 
     Args:
-        choice: of the user.
-        date: YYYY-MM-DD of the start.
-        rotation: of the Earth.
-        bodies: Sun and Moon.
-        first: time from which a learned acceleration acts, s.
-        last: until which.
+        choice: user's choice.
+        date: start date, YYYY-MM-DD.
+        rotation: Earth rotation.
+        bodies: positions of Sun and Moon.
+        first: start time of a learned acceleration, s.
+        last: its end time, s.
 
     Raises:
         UserError: see `gravity_field`.

@@ -1,4 +1,4 @@
-"""From a setup and its files to a problem that can be solved."""
+"""Construction of an orbit determination problem from a setup and its files."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 TURNING = np.array([kind not in ("range", "range_rate") for kind in KINDS])
-"""Which of `KINDS` are angles."""
+"""Mask of angles among `KINDS`."""
 MARGIN = 60.0
-"""Seconds by which Earth, Sun and Moon are known beyond the measurements; light needs less."""
+"""Margin in seconds of Earth rotation, Sun and Moon beyond the measurements; light time is shorter."""
 SMOOTH = (10.0, 0.3)
-"""Where the choice of the smoothness begins: units of the basis, and a fraction of the time."""
+"""Initial smoothness: units of the basis, and a fraction of the time span."""
 
 
 class PreparedOrbit(NamedTuple):
-    """A problem and what is needed beside it.
+    """Orbit determination problem with auxiliary data.
 
     Attributes:
-        problem: with all measurements.
-        rotation: of the Earth.
-        learned: the learned acceleration and the place of its first unknown, if there is one.
+        problem: problem problem with all measurements.
+        rotation: Earth rotation.
+        learned: learned acceleration and index of its first unknown, or None.
     """
 
     problem: OrbitProblem
@@ -57,15 +57,15 @@ class PreparedOrbit(NamedTuple):
 
 
 def prepared_orbit(setup: OrbitSetup, folder: Path, data: TrackingData | None = None) -> PreparedOrbit:
-    """Return the problem of a setup.
+    """Build the problem of a setup.
 
     Args:
-        setup: what the user says.
-        folder: that the names of files start from.
+        setup: user's setup.
+        folder: base folder of file names.
         data: in place of the measurements that the setup names.
 
     Raises:
-        UserError: what is wrong with a file, or with a station.
+        UserError: an invalid file or station.
     """
     data = measured(setup, folder) if data is None else data
     given = setup.start
@@ -136,7 +136,7 @@ def start_moment(start: StartChoice) -> int:
 
 
 def measured(setup: OrbitSetup, folder: Path) -> TrackingData:
-    """Return the measurements of the satellite; raises UserError where it is not clear which one."""
+    """Return the measurements of the satellite; raises UserError if the satellite is ambiguous."""
     found = read_tracking(folder / setup.measurements)
     known = [one for one in found if setup.object in (None, one.object)]
     if len(known) != 1:
@@ -183,7 +183,7 @@ def stations_of(
 
 
 def by_kind(choice: KindChoice) -> Array:
-    """Return the numbers of each kind in km, rad and km/s, (6,); NaN where none is."""
+    """Return the numbers of each kind in km, rad and km/s, (6,); NaN for none."""
     given = [getattr(choice, one.name) for one in sorted(fields(choice), key=lambda f: KINDS.index(f.name))]
     numbers = np.array([np.nan if one is None else one for one in given], dtype=np.float64)
     return np.where(TURNING, np.radians(numbers), numbers)
@@ -193,7 +193,7 @@ def noise_of(setup: OrbitSetup, data: TrackingData, entries: dict[str, StationEn
     """Return the noise by station and kind, (stations, 6): the station's, the setup's, the file's median.
 
     Raises:
-        UserError: neither says one of what was measured.
+        UserError: the noise of some measurements is unknown.
     """
     table = np.tile(by_kind(setup.noise), (len(data.stations), 1))
     for s, name in enumerate(data.stations):
@@ -213,7 +213,7 @@ def noise_of(setup: OrbitSetup, data: TrackingData, entries: dict[str, StationEn
 
 
 def require_light(setup: OrbitSetup, data: TrackingData) -> None:
-    """Refuse ranges of which no wavelength is known where light is delayed; raises UserError."""
+    """Raise UserError for laser ranges without a known wavelength if delays are corrected."""
     ranged = np.isfinite(data.values[:, 0])
     if setup.corrections.troposphere == "laser" and not np.isfinite(data.wavelength[ranged]).all():
         message = (

@@ -1,4 +1,4 @@
-"""What a user says of an orbit determination, checked: the keys of its YAML file."""
+"""Validated setup of an orbit determination: the keys of its YAML file."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ Vector = list[Finite]
 
 @dataclass(frozen=True, kw_only=True)
 class StartChoice:
-    """Where the fit begins.
+    """Initial state of the fit.
 
     Attributes:
-        epoch: in UTC.
+        epoch: epoch in UTC.
         position, velocity: km and km/s.
-        frame: of their axes.
+        frame: reference frame.
     """
 
     epoch: str
@@ -35,12 +35,12 @@ class StartChoice:
 
 @dataclass(frozen=True, kw_only=True)
 class GravityChoice:
-    """The field of the Earth.
+    """Gravity field of the Earth.
 
     Attributes:
         field: eigen6s (to degree 12), ggm05c (to degree 8), or an ICGEM file.
-        degree, order: to which it counts; all of it without them.
-        epoch: YYYY-MM-DD of coefficients that vary in time; that of the start without it.
+        degree, order: truncation; by default the full field.
+        epoch: YYYY-MM-DD epoch of time-variable coefficients; by default that of the start.
     """
 
     field: str = "eigen6s"
@@ -55,8 +55,8 @@ class SurfaceForce:
 
     Attributes:
         area_to_mass: m^2/kg.
-        coefficient: of reflection or of drag.
-        sd: what it is known to; 0 keeps it, infinity knows nothing.
+        coefficient: reflection or drag coefficient.
+        sd: prior standard deviation; 0 fixes the coefficient, infinity means no prior.
     """
 
     area_to_mass: Positive
@@ -66,14 +66,14 @@ class SurfaceForce:
 
 @dataclass(frozen=True, kw_only=True)
 class LearnedChoice:
-    """An acceleration that is learned beside the known ones.
+    """Acceleration learned in addition to known forces.
 
     Attributes:
-        kind: a smooth function of time, or a polynomial.
-        axes: inertial, or radial, along the track and normal to the orbit.
-        pieces: of the spline.
-        degree: of the polynomial.
-        unit: in which its weights count, km/s^2.
+        kind: smooth function of time, or polynomial.
+        axes: inertial, or radial, along-track and cross-track.
+        pieces: number of spline pieces.
+        degree: degree of the polynomial.
+        unit: unit of its weights, km/s^2.
     """
 
     kind: Literal["smooth", "polynomial"] = "smooth"
@@ -85,7 +85,7 @@ class LearnedChoice:
 
 @dataclass(frozen=True, kw_only=True)
 class ForcesChoice:
-    """What accelerates the satellite; see docs/tracking.md."""
+    """Forces on the satellite; see docs/tracking.md."""
 
     gravity: GravityChoice = field(default_factory=GravityChoice)
     sun: bool = True
@@ -99,7 +99,7 @@ class ForcesChoice:
 
 @dataclass(frozen=True, kw_only=True)
 class KindChoice:
-    """A number for each kind of measurement: km, degrees and km/s."""
+    """One number per kind of measurement: km, degrees and km/s."""
 
     range: float | None = None
     azimuth: float | None = None
@@ -111,7 +111,7 @@ class KindChoice:
 
 @dataclass(frozen=True, kw_only=True)
 class OrbitSetup:
-    """An orbit determination.
+    """Setup of an orbit determination.
 
     Attributes:
         measurements: file of them, as `read_tracking` reads it.
@@ -121,15 +121,15 @@ class OrbitSetup:
         stations: of each [latitude, longitude, height], degrees and m, or all that
             `ahnn.measurements.station_file` has; or a file of them; or
         sinex: files with their coordinates and eccentricities.
-        forces: on the satellite.
-        corrections: of ranges and angles.
-        noise: standard deviations, where the file states none: km, degrees and km/s.
-        noise_estimated: whether the residuals decide them, by kind.
-        biases: prior standard deviation of a bias of each station; none without a number.
+        forces: forces on the satellite.
+        corrections: corrections of ranges and angles.
+        noise: standard deviations, for files without them: km, degrees and km/s.
+        noise_estimated: whether to estimate them from the residuals, by kind.
+        biases: prior standard deviation of a bias per station; no number for no bias.
         loss: squares, or Huber's.
-        held_out: fraction of the measurements at the end that a second fit does not see.
-        compare: an orbit to compare with, CPF.
-        step: seconds between the states that are written.
+        held_out: final fraction of the measurements excluded from a second fit.
+        compare: reference orbit, CPF.
+        step: seconds between output states.
     """
 
     measurements: str
@@ -150,10 +150,10 @@ class OrbitSetup:
 
 
 def setup_of(values: Mapping[str, Any]) -> OrbitSetup:
-    """Return the setup of plain values under keys.
+    """Parse a setup from plain values.
 
     Raises:
-        UserError: a key that is unknown or missing, or a value of another type, with its place.
+        UserError: a key that is unknown or missing, or a value of the wrong type, with its location.
     """
     setup = choice_of(OrbitSetup, values, "")
     for name in ("position", "velocity") if setup.start is not None else ():
@@ -179,7 +179,7 @@ def setup_of(values: Mapping[str, Any]) -> OrbitSetup:
 
 
 def choice_of(kind: type[T], values: Any, who: str) -> T:
-    """Return a dataclass of plain values, those of its fields that are dataclasses from values under them.
+    """Build a dataclass from plain values, with nested dataclasses from nested values.
 
     Raises:
         UserError: see `setup_of`.

@@ -1,4 +1,4 @@
-"""The results of an orbit determination as tables and as an orbit ephemeris message."""
+"""Output of an orbit determination as tables and as an orbit ephemeris message."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ METRES = 1e3
 
 
 def as_csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> bytes:
-    """Return a table as the bytes of a CSV file."""
+    """Format a table as the bytes of a CSV file."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(head)
@@ -30,7 +30,7 @@ def as_csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> bytes:
 
 
 def residuals_csv(fit: OrbitFit) -> bytes:
-    """Return every residual with its predicted standard deviation, in m, deg and mm/s."""
+    """Format all residuals with their predicted standard deviation, in m, deg and mm/s."""
     data, sd = fit.problem.model.data, fit.predicted_deviations
     rows = []
     for n, k in np.argwhere(np.isfinite(fit.point.residuals)).tolist():
@@ -51,7 +51,7 @@ def residuals_csv(fit: OrbitFit) -> bytes:
 
 
 def unknowns_csv(fit: OrbitFit) -> bytes:
-    """Return every unknown with its standard deviation, in the units of the fit: km, km/s, rad, weights."""
+    """Format all unknowns with standard deviations, in the units of the fit: km, km/s, rad, weights."""
     names, x, sd = fit.problem.unknowns.names, fit.point.x, fit.deviations
     rows = ((name, repr(float(value)), f"{one:.6g}") for name, value, one in zip(names, x, sd, strict=True))
     return as_csv(("name", "value", "sd"), rows)
@@ -60,7 +60,7 @@ def unknowns_csv(fit: OrbitFit) -> bytes:
 def learned_acceleration(
     fit: OrbitFit, term: AccelerationOfTime, place: int, times: Array
 ) -> tuple[Array, Array, Array]:
-    """Return a learned acceleration at times (T,): components in its own axes, covariances, norms.
+    """Evaluate a learned acceleration at times (T,): components in its axes, covariances, norms.
 
     Returns:
         Components (T, 3) and covariances (T, 3, 3) in m/s^2, and the norm with its deviation, (T, 2).
@@ -77,7 +77,7 @@ def learned_acceleration(
 
 
 def acceleration_csv(fit: OrbitFit, term: AccelerationOfTime, place: int, times: Array) -> bytes:
-    """Return a learned acceleration as a table, m/s^2."""
+    """Format a learned acceleration as a table, m/s^2."""
     values, covariances, norms = learned_acceleration(fit, term, place, times)
     deviations = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     epoch, letters = fit.problem.model.data.epoch, LETTERS[term.axes]
@@ -99,7 +99,7 @@ def acceleration_csv(fit: OrbitFit, term: AccelerationOfTime, place: int, times:
 
 
 def orbit_ephemeris(fit: OrbitFit, step: float) -> Ephemeris:
-    """Return the orbit over the measurements in GCRF with its covariances, a state each `step` seconds."""
+    """Return the orbit over the measurement span in GCRF with covariances, one state per `step` seconds."""
     arc, data, unknowns = fit.point.arc, fit.problem.model.data, fit.problem.unknowns
     count = int(np.ceil((arc.last - arc.first) / step)) + 1
     times = np.linspace(arc.first, arc.last, max(2, count))

@@ -1,4 +1,4 @@
-"""The noise of measurements, estimated from the residuals of a fit."""
+"""Estimation of measurement noise from the residuals of a fit."""
 
 from __future__ import annotations
 
@@ -15,32 +15,33 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 SMALLEST, MOST = 0.05, 10.0
-"""A noise is at least this fraction, and at most this multiple, of what it was a step before."""
+"""Limits on the ratio of a noise estimate to the previous one."""
 FEWEST = 10
-"""Measurements of a station from which it has a scatter of its own."""
+"""Minimum number of measurements of a station for its own scatter estimate."""
 CONSISTENT = float((2 * norm.cdf(HUBER) - 1) - 2 * HUBER * norm.pdf(HUBER) + 2 * HUBER**2 * norm.sf(HUBER))
-"""Mean of min(e^2, HUBER^2) of a normal e."""
+"""Mean of min(e^2, HUBER^2) for normal e."""
 
 
 def huber_weights(e: Array) -> Array:
-    """Return the weights of Huber's loss of residuals in standard deviations, (M,)."""
+    """Return the weights of Huber's loss for residuals in standard deviations, (M,)."""
     return HUBER / np.maximum(np.abs(e), HUBER)
 
 
 def noise_deviations_of(
     rows: WhitenedRows, weights: Array, covariance: Array, noise: Array, *, robust: bool
 ) -> Array:
-    """Return the noise by station and kind, (stations, 6), that makes residuals as large as they should be.
+    """Estimate the noise by station and kind, (stations, 6), consistent with the residuals.
 
-    Of each group: the sum of psi(e)^2 is its mean for a normal e times the number of measurements less those
-    that determine the unknowns (Huber 1981, proposal 2; Förstner 1979 for the redundancy of a group).
+    For each group the sum of psi(e)^2 equals its mean for normal e times the redundancy, i.e. the number of
+    measurements minus those spent on the unknowns (Huber 1981, proposal 2; Förstner 1979 for the redundancy
+    of a group).
 
     Args:
         rows: fitted measurements.
-        weights: of a robust loss, (M,).
-        covariance: of the free unknowns.
-        noise: a step before.
-        robust: whether psi is that of Huber.
+        weights: weights of a robust loss, (M,).
+        covariance: covariance of the free unknowns.
+        noise: previous estimate.
+        robust: whether to use Huber's psi.
     """
     kind = rows.group % noise.shape[1]
     spent = np.einsum("mf,fg,mg->m", rows.by, covariance, rows.by) * weights
@@ -57,10 +58,10 @@ def scatter_of(residuals: Array, station: NDArray[np.int64], used: NDArray[np.bo
     """Return root mean squares of residuals by station and kind, (stations, 6).
 
     Args:
-        residuals: (N, 6), NaN where nothing was measured.
-        station: (N,) place of each measurement's station.
-        used: (N,) which were fitted.
-        noise: (stations, 6), taken where nothing was fitted at all.
+        residuals: (N, 6), NaN where missing.
+        station: (N,) station index of each measurement.
+        used: (N,) mask of fitted measurements.
+        noise: (stations, 6), used if nothing was fitted.
     """
     table = noise.copy()
     for k in range(noise.shape[1]):

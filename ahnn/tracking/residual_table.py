@@ -1,4 +1,4 @@
-"""What residuals say of each station, in numbers and in words."""
+"""Residual statistics and diagnoses by station."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SHOWN: dict[str, tuple[str, float]] = {
     "right_ascension": ("deg", 180 / np.pi),
     "declination": ("deg", 180 / np.pi),
 }
-"""Unit in which each kind is shown, and the factor to it from km, rad and km/s."""
+"""Display unit of each kind, and the factor from km, rad and km/s."""
 CERTAIN, WIDE, ALIKE = 3.0, 2.0, 0.7
 """Standard errors of a finding; times the noise of a wide scatter; correlation of neighbours that is said."""
 OPPOSITE = 0.5
@@ -54,7 +54,7 @@ class ResidualRow(NamedTuple):
 
 
 def residual_rows(fit: OrbitFit, used: NDArray[np.bool_]) -> list[ResidualRow]:
-    """Return a row for each station and kind, of the measurements that are used."""
+    """Return a row for each station and kind, for the selected measurements."""
     data, unknowns = fit.problem.model.data, fit.problem.unknowns
     biases = {
         pair: (float(fit.point.x[place]), float(fit.deviations[place]), float(unknowns.mean[place]))
@@ -80,12 +80,12 @@ def correlation_of(e: Array) -> float:
 
 
 def effective(count: int, correlation: float) -> float:
-    """Return as how many independent residuals correlated ones count (Bartlett 1946)."""
+    """Return the effective number of independent residuals (Bartlett 1946)."""
     return max(1.0, count * (1 - max(correlation, 0.0)) / (1 + max(correlation, 0.0)))
 
 
 def trend_of(t: Array, e: Array) -> tuple[float, float]:
-    """Return the slope of residuals (T,) in time and its standard error; 0 and infinity for few."""
+    """Return the slope of residuals (T,) in time and its standard error; 0 and infinity for too few."""
     if len(e) < FEWEST or t.std() == 0:
         return 0.0, np.inf
     slope = float(((t - t.mean()) @ e) / ((t - t.mean()) @ (t - t.mean())))
@@ -95,7 +95,7 @@ def trend_of(t: Array, e: Array) -> tuple[float, float]:
 
 
 def verdict(row: ResidualRow) -> str:
-    """Return in words what is wrong with the residuals of a row, or that they fit."""
+    """Return a diagnosis of the residuals of a row in words."""
     unit, factor = SHOWN[row.kind]
     error = row.sd / np.sqrt(effective(row.number, row.correlation))
     found = []
@@ -115,7 +115,7 @@ def verdict(row: ResidualRow) -> str:
 
 
 def table_lines(rows: list[ResidualRow]) -> list[str]:
-    """Return the rows as lines of text, with units and verdicts."""
+    """Format the rows as text, with units and diagnoses."""
     head = f"  {'station':12s}{'kind':12s}{'count':>6s}{'mean':>11s}{'sd':>11s}"
     head += f"{'bias':>13s}{'± 1 sd':>11s}  verdict"
     lines = [head]

@@ -1,4 +1,4 @@
-"""The path of a satellite with its sensitivities to the start and to the parameters of the accelerations."""
+"""Satellite arc with sensitivities to the initial state and to force parameters."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from ahnn.tracking.accelerations import AccelerationTerm
 
 Array = NDArray[np.float64]
 PRECISION, FLOOR = 1e-11, 1e-10
-"""Of each step: relative, and absolute in km and km/s."""
+"""Tolerances per step: relative, and absolute in km and km/s."""
 
 
 @dataclass(frozen=True, eq=False)
 class Forces:
-    """The accelerations of a satellite, whose parameters stand one behind the other.
+    """Accelerations of a satellite, with concatenated parameters.
 
     Attributes:
-        terms: what accelerates it.
-        longest: the longest step in s, so that none misses a shadow or a knot of a spline.
+        terms: acceleration terms.
+        longest: maximum step in s, so that no shadow or spline knot is missed.
     """
 
     terms: Sequence[AccelerationTerm]
@@ -59,12 +59,12 @@ class Forces:
 
 @dataclass(frozen=True, eq=False)
 class SatelliteArc:
-    """A path in GCRF, km and km/s, between two times.
+    """Arc in GCRF, km and km/s, between two times.
 
     Attributes:
-        first, last: its ends, seconds after the epoch.
-        before, after: the path and its sensitivities on both sides of the start.
-        start: the time of the start.
+        first, last: ends of the arc, seconds after the epoch.
+        before, after: states and sensitivities before and after the start.
+        start: time of the start.
     """
 
     first: float
@@ -78,7 +78,7 @@ class SatelliteArc:
         return self._all(times)[:, 0]
 
     def sensitivities(self, times: Array) -> Array:
-        """Return their derivatives by [start, parameters], (T, 6, 6 + P), at times (T,)."""
+        """Return the derivatives in [start, parameters], (T, 6, 6 + P), at times (T,)."""
         return self._all(times)[:, 1:].transpose(0, 2, 1)
 
     def _all(self, times: Array) -> Array:
@@ -102,22 +102,22 @@ class SatelliteArc:
 def satellite_arc(
     forces: Forces, start: Array, p: Array, at: float, first: float, last: float
 ) -> SatelliteArc:
-    """Return the path from a start, with its sensitivities.
+    """Propagate an arc from an initial state, with sensitivities.
 
     The method is that of Dormand and Prince of order 8 with its interpolant of order 7 (Hairer, Nørsett &
-    Wanner, Solving Ordinary Differential Equations I, section II.10); the state alone chooses its steps,
-    since the sensitivities move with the same forces.
+    Wanner, Solving Ordinary Differential Equations I, section II.10); step control uses the state only, since
+    the sensitivities depend on the same forces.
 
     Args:
-        forces: on the satellite.
-        start: state (6,) in GCRF, km and km/s.
+        forces: forces on the satellite.
+        start: initial initial state (6,) in GCRF, km and km/s.
         p: parameters of the forces, (P,).
-        at: time of the start.
-        first: where the path begins, at or before the start.
-        last: where it ends, at or after the start.
+        at: time of the initial state.
+        first: begin of the arc, at or before the start.
+        last: end of the arc, at or after the start.
 
     Raises:
-        TrainingError: the path cannot be continued, as of a satellite that falls into the Earth.
+        TrainingError: the integration fails, for example for a satellite that falls into the Earth.
     """
     columns = 6 + len(p)
 
@@ -131,7 +131,7 @@ def satellite_arc(
     begin = np.concatenate((start[None], np.eye(6), np.zeros((len(p), 6)))).ravel()
     floor = np.full(len(begin), np.inf)
     floor[:6] = FLOOR
-    # The solver takes the root mean square over all numbers, of which six count.
+    # The solver uses the root mean square over all numbers, of which only six are controlled.
     floor[:6] /= np.sqrt(1 + columns)
     precision = PRECISION
 

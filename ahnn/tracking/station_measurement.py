@@ -1,4 +1,4 @@
-"""A station as a measurement model of filters: what it should measure of a state at the time of a reading.
+"""Station as a measurement model of filters: predicted measurements of a state at a reading's time.
 
 Light meets the satellite up to a second before or after the time that a reading is tagged with. Over that
 time the state moves by the Earth's attraction as of a point, to second order: to a few micrometres, and to
@@ -45,12 +45,12 @@ class NearbyStates(NamedTuple):
 
 
 class StationMeasurement(Differing):
-    """What one station measures of states [position, velocity, ...], shape (..., D).
+    """Measurements of states [position, velocity, ...], shape (..., D), by one station.
 
     Args:
         model: of all measurements, whose weather and wavelength at the station count, those nearest in time.
         station: its place among the stations of the model.
-        kinds: what it measures.
+        kinds: measured kinds.
         biases: for each of them the component of the state that is added to it; None where it has no bias.
         known: for each of them a bias that is known.
     """
@@ -72,7 +72,7 @@ class StationMeasurement(Differing):
 
     @property
     def about(self) -> dict[str, Any]:
-        """What tells one station from another, as plain values; forces and corrections say the rest."""
+        """Plain values that identify a station, besides forces and corrections."""
         place = [float(one) for one in self.station.position]
         return {
             "station": self.station.name,
@@ -103,7 +103,7 @@ class StationMeasurement(Differing):
         return torch.from_numpy(slopes)
 
     def _predicted(self, states: Array, t: float) -> PredictedTracking:
-        """Return what should be measured of states (B, D)."""
+        """Predict the measurements of states (B, D)."""
         data = self._model.data
         row = self._rows[np.argmin(np.abs(data.times[self._rows] - t))]
         rows = np.full(len(states), row)

@@ -1,4 +1,4 @@
-"""Where Sun and Moon stand, seen from the Earth's centre, by DE421 (Folkner et al., JPL 2009)."""
+"""Geocentric positions of Sun and Moon from DE421 (Folkner et al., JPL 2009)."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ Array = NDArray[np.float64]
 SUN_MU, MOON_MU = 132712440040.944, 4902.800076
 """Gravitational parameters in km^3/s^2 (DE421)."""
 MOON_FRACTION = 1 / (1 + 81.3005690699153)
-"""Of the mass of Earth and Moon (DE421)."""
+"""Fraction of the Moon in the mass of Earth and Moon (DE421)."""
 NODES, MARGIN = 3600.0, 4 * 3600.0
-"""Seconds between positions that a spline goes through, and its reach beyond what is asked for."""
+"""Seconds between the nodes of a spline of positions, and its margin."""
 
 
 class SunAndMoon(NamedTuple):
@@ -25,7 +25,7 @@ class SunAndMoon(NamedTuple):
 
     Attributes:
         sun: times (T,) or a time, seconds after the epoch -> (T, 3) or (3,).
-        moon: likewise.
+        moon: as for the Sun.
     """
 
     sun: CubicSpline
@@ -36,9 +36,9 @@ def sun_and_moon(epoch: int, first: float, last: float) -> SunAndMoon:
     """Return the positions of Sun and Moon between two times; TDB is taken as TT (2 ms).
 
     Args:
-        epoch: of time zero, picoseconds of UTC as in `TrackingData`.
-        first: seconds after the epoch.
-        last: likewise.
+        epoch: epoch of time zero, picoseconds of UTC as in `TrackingData`.
+        first: begin of the span, seconds after the epoch.
+        last: end of the span, seconds after the epoch.
 
     Raises:
         UserError: jplephem or de421 is missing.

@@ -1,4 +1,4 @@
-"""What is in tracking data before anybody determines an orbit: who saw what, when, and what stands out."""
+"""Survey of tracking data before orbit determination: stations, passes, gaps and outliers."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 from ahnn.tracking.tracking_data import KINDS, Kind, TrackingData
 
 PASS = 10.0
-"""A step so many times the median separates two passes."""
+"""Multiple of the median step that separates two passes."""
 LONGEST = 1200.0
-"""Seconds beyond which every step does."""
+"""Step in seconds that always separates two passes."""
 FASTEST = 12.0
-"""Velocity in km/s that no satellite of the Earth has."""
+"""Velocity in km/s above that of any Earth satellite."""
 STANDS_OUT = 15.0
-"""A measurement is an outlier so many times as far from its neighbours as the median one of its pass."""
+"""Outlier criterion: ratio of the distance from the neighbours to the median one of the pass."""
 CLEARLY = 3.0
-"""And so many times as far as its neighbours disagree about where it should be."""
+"""Outlier criterion: ratio of the distance from the neighbours to their own disagreement."""
 FEWEST = 7
-"""Measurements of a pass from which on outliers are looked for."""
+"""Minimum number of measurements in a pass for outlier detection."""
 MOST = 0.2
-"""Fraction of a pass beyond which it has no outliers but is noisy."""
+"""Fraction of a pass above which deviations are noise instead of outliers."""
 UNWRAPPED = ("azimuth", "right_ascension")
 
 
@@ -31,12 +31,12 @@ class SeriesSurvey(NamedTuple):
     """Measurements of one kind by one station.
 
     Attributes:
-        station, kind: of which they are.
-        times: (n,) in seconds from the epoch of the data.
-        passes: how many segments there are between long gaps.
-        gap: the longest, in seconds.
-        outliers: places among the measurements that stand out from their neighbours.
-        impossible: places whose range changes from the one before faster than a satellite moves.
+        station, kind: station and kind of the measurements.
+        times: (n,) seconds since the epoch of the data.
+        passes: number of segments between long gaps.
+        gap: longest gap, in seconds.
+        outliers: indices of outliers among the measurements.
+        impossible: indices of ranges that change faster than a satellite moves.
     """
 
     station: str
@@ -49,7 +49,7 @@ class SeriesSurvey(NamedTuple):
 
 
 def survey(data: TrackingData) -> list[SeriesSurvey]:
-    """Return what each station measured, station by station and kind by kind."""
+    """Survey the measurements by station and kind."""
     found = []
     for k, name in enumerate(data.stations):
         for c, kind in enumerate(KINDS):
@@ -63,7 +63,7 @@ def survey(data: TrackingData) -> list[SeriesSurvey]:
 def of_series(
     station: str, kind: Kind, times: NDArray[np.float64], values: NDArray[np.float64]
 ) -> SeriesSurvey:
-    """Return what is in one series, (n,) times in s and values in km, km/s or rad."""
+    """Survey one series, (n,) times in s and values in km, km/s or rad."""
     steps = np.diff(times)
     limit = min(LONGEST, PASS * float(np.median(steps))) if len(steps) else LONGEST
     bounds = [0, *(np.flatnonzero(steps > limit) + 1).tolist(), len(times)]
@@ -80,16 +80,16 @@ def of_series(
 
 
 def standing_out(times: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the places of one pass that are far from what their neighbours say, one after the other.
+    """Return the indices of outliers in one pass, found successively.
 
-    What they say are polynomials through six and through four of them. Where the two differ themselves, the
-    measurements are too far apart to judge. The farthest place is taken out before the others are judged,
-    since its neighbours look bad beside it.
+    Values are compared with polynomials through six and through four neighbours. If these differ, the
+    measurements are too sparse for a decision. The largest outlier is removed before the next is sought,
+    since it also affects its neighbours.
     """
     kept, found = np.arange(len(times)), list[int]()
     while len(kept) >= FEWEST:
         errors, doubts = from_neighbours(times[kept], values[kept])
-        around = np.max([doubts[:-2], doubts[1:-1], doubts[2:]], axis=0)  # one alone may vanish by chance
+        around = np.max([doubts[:-2], doubts[1:-1], doubts[2:]], axis=0)  # a single one may vanish by chance
         judged = np.where(errors[1:-1] > CLEARLY * around, errors[1:-1], 0.0)
         worst = int(np.argmax(judged)) + 1
         if judged[worst - 1] <= STANDS_OUT * float(np.median(errors)):
@@ -102,12 +102,12 @@ def standing_out(times: NDArray[np.float64], values: NDArray[np.float64]) -> NDA
 def from_neighbours(
     times: NDArray[np.float64], values: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return how far values are from a polynomial through six others, and how far that is from one of four.
+    """Return distances of values from polynomials through six neighbours, and between six and four.
 
-    Both (n,), in units of the noise of the first difference where each value has one unit of noise.
+    Both (n,), normalised such that unit noise of the values gives unit noise of the first distance.
 
     Args:
-        times: (n,) not decreasing, n at least 7; where two are equal, and at both ends, the results are zero.
+        times: (n,) non-decreasing times, n at least 7; results are zero for equal times and at both ends.
         values: (n,).
     """
     errors, doubts = np.zeros(len(times)), np.zeros(len(times))
@@ -124,7 +124,7 @@ def from_neighbours(
 def interpolation(
     times: NDArray[np.float64], k: int, count: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]] | None:
-    """Return the places of the nearest others around a time and their weights; None of two equal times."""
+    """Return indices and weights of the nearest neighbours of a time; None for equal times."""
     start = min(max(k - count // 2, 0), len(times) - count - 1)
     others = np.delete(np.arange(start, start + count + 1), k - start)
     apart = times[others, None] - times[others] + np.eye(count)

@@ -1,4 +1,4 @@
-"""What ground stations measured of one satellite, in one representation for all files."""
+"""Tracking data of one satellite, in a common representation for all formats."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from ahnn.data.files import epochs
 from ahnn.errors import UserError
 
 Kind = Literal["range", "azimuth", "elevation", "range_rate", "right_ascension", "declination"]
-"""What is measured: km, rad or km/s; a range is half of the light's way there and back, times c."""
+"""Kinds of measurements: km, rad or km/s; a range is half the two-way light time, times c."""
 KINDS: tuple[Kind, ...] = ("range", "azimuth", "elevation", "range_rate", "right_ascension", "declination")
 Event = Literal["receive", "transmit", "bounce"]
-"""What happened at the time of a measurement: light arrived at the station, left it, or met the satellite."""
+"""Events tagged by measurement times: reception or transmission at the station, bounce at the satellite."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrackingData:
-    """Measurements of one satellite by several stations, in the order of their times.
+    """Measurements of one satellite by several stations, in order of time.
 
     Attributes:
-        object: name of the satellite, empty where the file says none.
-        epoch: of time zero, picoseconds from 2000-01-01 in UTC with all leap seconds, as
-            `ahnn.data.files.epochs.instant` counts them.
+        object: name of the satellite, empty if unspecified.
+        epoch: epoch of time zero, picoseconds since 2000-01-01 in UTC with all leap seconds
+            (`ahnn.data.files.epochs.instant`).
         times: (N,) SI seconds after the epoch, not decreasing.
-        values: (N, 6) in the order of `KINDS`, km, rad and km/s; NaN of what was not measured.
-        stations: their names.
-        station: (N,) place of each measurement's station among them.
-        event: what the times tag.
+        values: (N, 6) in the order of `KINDS`, km, rad and km/s; NaN where missing.
+        stations: station names.
+        station: (N,) station index of each measurement.
+        event: event tagged by the times.
         weather: (N, 3) pressure in hPa, temperature in K and relative humidity from 0 to 1 at the station;
             NaN where unknown.
-        wavelength: (N,) of laser light in micrometres; NaN of radio.
-        deviations: (N, 6) standard deviations that the file states; NaN where it states none.
-        remarks: what the file says that is not used, in words.
+        wavelength: (N,) of laser light in micrometres; NaN for radio.
+        deviations: (N, 6) standard deviations from the file, or NaN.
+        remarks: remarks on unused content of the file.
     """
 
     object: str
@@ -52,7 +52,7 @@ class TrackingData:
 
     @property
     def kinds(self) -> tuple[Kind, ...]:
-        """What is measured at least once."""
+        """Kinds measured at least once."""
         return tuple(k for k, column in zip(KINDS, self.values.T, strict=True) if np.isfinite(column).any())
 
 

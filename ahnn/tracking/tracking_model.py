@@ -1,4 +1,4 @@
-"""What a station should measure of a satellite: ranges and angles with their derivatives by its state."""
+"""Measurement model of tracking: ranges and angles with derivatives in the satellite's state."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from ahnn.tracking.tracking_station import EARTH_MU, TrackingStation, tidal_disp
 
 Array = NDArray[np.float64]
 ANGLES = np.array([False, True, False, False, True, False])
-"""Which of `KINDS` turn round."""
+"""Mask of `KINDS` that are periodic angles."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Corrections:
-    """What is taken into account between a geometric range or angle and a measured one.
+    """Corrections from geometric to measured ranges and angles.
 
     Attributes:
-        troposphere: whose delay ranges have: none, of radio or of laser light.
-        refraction: what air lifts a satellite in elevation: none, that of the weather, or of ITU-R P.834.
-        solid_tides: whether the tides of the solid Earth move the stations.
-        shapiro: whether the Earth's mass delays light.
-        centre_of_mass: km from the point that reflects to the centre of mass, along the line of sight;
-            measured ranges are that much shorter.
+        troposphere: tropospheric delay of ranges: none, radio or laser.
+        refraction: refraction in elevation: none, from weather data, or by ITU-R P.834.
+        solid_tides: whether solid Earth tides displace the stations.
+        shapiro: whether to apply the relativistic delay of the Earth's field.
+        centre_of_mass: distance in km from the reflector to the centre of mass, along the line of sight, by
+            which measured ranges are shorter.
     """
 
     troposphere: Literal["none", "radio", "laser"] = "none"
@@ -48,7 +48,7 @@ class Corrections:
 
 
 class Path(Protocol):
-    """Where a satellite is."""
+    """Position of a satellite, for the measurement model."""
 
     def states(self, times: Array) -> Array:
         """Return its states (T, 6) in GCRF, km and km/s, at times (T,)."""
@@ -56,13 +56,13 @@ class Path(Protocol):
 
 
 class PredictedTracking(NamedTuple):
-    """What should be measured.
+    """Predicted measurements.
 
     Attributes:
         values: (N, 6) in the order of `KINDS`, km, rad and km/s.
-        by_state: derivatives by the satellite's state at the bounce, (N, 6, 6).
-        bounce: its time, (N,).
-        elevation: without air, (N,) rad.
+        by_state: derivatives with respect to the satellite's state at the bounce, (N, 6, 6).
+        bounce: bounce time, (N,).
+        elevation: geometric elevation, (N,) rad.
     """
 
     values: Array
@@ -75,11 +75,11 @@ class TrackingModel:
     """Measurements as functions of the satellite's path.
 
     Args:
-        data: whose times, stations and weather count.
-        stations: one for each of those that the data name, in their order.
-        corrections: what is taken into account.
-        rotation: of the Earth.
-        bodies: Sun and Moon.
+        data: tracking data that provide times, stations and weather.
+        stations: stations in the order of the data.
+        corrections: corrections to apply.
+        rotation: Earth rotation.
+        bodies: positions of Sun and Moon.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class TrackingModel:
         return TrackingModel(self.data, self.stations, self.corrections, rotation, self._bodies)
 
     def site(self, station: TrackingStation, times: Array) -> Array:
-        """Return where a station is in GCRF at times (T,), (T, 3) km."""
+        """Return the position of a station in GCRF at times (T,), (T, 3) km."""
         turns, place = self._rotation.matrices(times), np.broadcast_to(station.position, (len(times), 3))
         if self.corrections.solid_tides:
             for position, mu in ((self._bodies.sun(times), SUN_MU), (self._bodies.moon(times), MOON_MU)):
@@ -115,7 +115,7 @@ class TrackingModel:
         return np.einsum("ij,tjk->tik", station.axes, self._rotation.matrices(times))
 
     def __call__(self, arc: Path) -> PredictedTracking:
-        """Return what should be measured of a satellite on an arc."""
+        """Predict the measurements of a satellite on an arc."""
         n = len(self.data.times)
         found = PredictedTracking(np.full((n, 6), np.nan), np.zeros((n, 6, 6)), np.empty(n), np.empty(n))
         for k, station in enumerate(self.stations):
@@ -153,7 +153,7 @@ class TrackingModel:
     def _delay(
         self, path: LightPath, elevation: Array, air, station: TrackingStation, wavelength: Array
     ) -> Array:
-        """Return what makes measured ranges longer, (T,) km."""
+        """Return the total delay of measured ranges, (T,) km."""
         chosen, place = self.corrections, (station.latitude, station.height)
         delay = np.full(len(elevation), -chosen.centre_of_mass)
         if chosen.troposphere == "radio":
@@ -163,7 +163,7 @@ class TrackingModel:
         return delay + shapiro(path) if chosen.shapiro else delay
 
     def _range_rate(self, arc: Path, station: TrackingStation, path: LightPath) -> tuple[Array, Array]:
-        """Return the range rate at reception, (T,) km/s, and its derivatives by the state, (T, 6)."""
+        """Return the range rate at reception, (T,) km/s, and its derivatives in the state, (T, 6)."""
         drift = (self.site(station, path.receive + 0.5) - self.site(station, path.receive - 0.5)) / 1.0
         relative = arc.states(path.bounce)[:, 3:] - drift
         distance = np.linalg.norm(path.down, axis=1, keepdims=True)
@@ -173,21 +173,21 @@ class TrackingModel:
 
 
 def half_round_trip(path: LightPath) -> tuple[Array, Array]:
-    """Return half of the way there and back, (T,), and its derivatives by the satellite's position, (T, 3).
+    """Return half of the two-way path, (T,), and its derivatives in the satellite's position, (T, 3).
 
-    The derivatives leave out that another position also shifts the time, 1e-5 of them.
+    The derivatives neglect the change of the bounce time with position, a relative 1e-5.
     """
     up, down = (np.linalg.norm(one, axis=1) for one in (path.up, path.down))
     return 0.5 * (up + down), 0.5 * (path.up / up[:, None] + path.down / down[:, None])
 
 
 def directions(line: Array, *, azimuth: bool) -> tuple[Array, Array]:
-    """Return two angles of lines (T, 3) to the east, the north and up, and their derivatives (T, 2, 3).
+    """Return two angles of lines (T, 3) in east, north, up axes, and their derivatives (T, 2, 3).
 
     Args:
-        line: from the station to the satellite.
-        azimuth: from the second axis to the first, from 0 to 2 pi; else from the first to the second, as the
-            right ascension counts.
+        line: vector vector from the station to the satellite.
+        azimuth: whether the angle runs from the second axis to the first, from 0 to 2 pi; else from the first
+            to the second, as right ascension.
     """
     x, y, z = line.T
     level = x**2 + y**2
@@ -200,10 +200,10 @@ def directions(line: Array, *, azimuth: bool) -> tuple[Array, Array]:
 
 
 def shapiro(path: LightPath) -> Array:
-    """Return the relativistic delay of light in the Earth's field as km of half the way there and back, (T,).
+    """Return the relativistic delay of light in the Earth's field in km of half the two-way path, (T,).
 
-    2 mu / c^2 ln((a + b + d) / (a + b - d)) one way, a and b the distances of its ends from the Earth's
-    centre and d from one another (IERS Conventions 2010, 11.17).
+    2 mu / c^2 ln((a + b + d) / (a + b - d)) one way, with a and b the geocentric distances of its ends and d
+    their separation (IERS Conventions 2010, 11.17).
     """
     a, distance = np.linalg.norm(path.site, axis=1), np.linalg.norm(path.down, axis=1)
     both = a + np.linalg.norm(path.site + path.down, axis=1)

@@ -1,4 +1,4 @@
-"""Where a station stands, what its horizon is, and how the tides of the solid Earth move it."""
+"""Tracking stations: coordinates, local axes, and displacement by solid Earth tides."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from ahnn.tracking.formats.station_catalogue import geodetic, local_axes
 
 Array = NDArray[np.float64]
 RADIUS, FLATTENING = 6378.137, 1 / 298.257223563
-"""Of the ellipsoid of WGS 84, km."""
+"""WGS 84 ellipsoid, km."""
 EARTH_MU = 398600.4415
 LOVE, LOVE_LATITUDE, SHIDA, SHIDA_LATITUDE = 0.6078, -0.0006, 0.0847, 0.0002
-"""h2 and l2 with their change by latitude (IERS Conventions 2010, 7.1.1)."""
+"""Love and Shida numbers h2 and l2 with their latitude dependence (IERS Conventions 2010, 7.1.1)."""
 LOVE_3, SHIDA_3 = 0.292, 0.015
-"""h3 and l3."""
+"""Love and Shida numbers h3 and l3."""
 
 
 class TrackingStation(NamedTuple):
-    """A station in the axes of ITRF.
+    """Station in ITRF.
 
     Attributes:
-        name: as the measurements name it.
-        position: (3,) km from the Earth's centre, of the point that measures.
+        name: name used in the measurements.
+        position: (3,) geocentric position of the reference point, km.
         latitude, longitude: geodetic, rad.
         height: above the ellipsoid, km.
     """
@@ -37,12 +37,12 @@ class TrackingStation(NamedTuple):
 
     @property
     def axes(self) -> Array:
-        """Unit vectors to the east, the north and up as rows, (3, 3)."""
+        """Unit vectors east, north and up as rows, (3, 3)."""
         return local_axes(self.position)[[2, 1, 0]]
 
 
 def geodetic_station(name: str, latitude: float, longitude: float, height: float) -> TrackingStation:
-    """Return the station at geodetic coordinates, degrees and km."""
+    """Build a station from geodetic coordinates, degrees and km."""
     lat, lon = np.radians((latitude, longitude))
     squared = FLATTENING * (2 - FLATTENING)
     normal = RADIUS / np.sqrt(1 - squared * np.sin(lat) ** 2)
@@ -54,20 +54,20 @@ def geodetic_station(name: str, latitude: float, longitude: float, height: float
 
 
 def cartesian_station(name: str, position: Array) -> TrackingStation:
-    """Return the station at a point in ITRF, (3,) km."""
+    """Build a station from a point in ITRF, (3,) km."""
     return TrackingStation(name, position, *geodetic(position))
 
 
 def tidal_displacement(position: Array, body: Array, mu: float) -> Array:
-    """Return what the tide of a body displaces a station by, in km and ITRF, (T, 3).
+    """Return the tidal displacement of a station by a body, in km in ITRF, (T, 3).
 
-    Degrees 2 and 3, in phase (IERS Conventions 2010, 7.5 and 7.6); what is left out, most of it the
-    resonance of K1, is at most 13 mm. The constant part is within: coordinates are tide-free.
+    Degrees 2 and 3, in phase (IERS Conventions 2010, 7.5 and 7.6); neglected terms, mainly the K1 resonance,
+    are at most 13 mm. The permanent part is included: coordinates are tide-free.
 
     Args:
-        position: of the station, (3,) km in ITRF.
-        body: Sun or Moon, (T, 3) km in ITRF.
-        mu: its gravitational parameter, km^3/s^2.
+        position: station position, (3,) km in ITRF.
+        body: position of Sun or Moon, (T, 3) km in ITRF.
+        mu: gravitational parameter of the body, km^3/s^2.
     """
     away = np.linalg.norm(body, axis=-1, keepdims=True)
     e, distance = body / away, np.linalg.norm(position)

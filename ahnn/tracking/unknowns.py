@@ -1,4 +1,4 @@
-"""What an orbit determination estimates, in one vector, with what is known of it before the measurements."""
+"""Vector of unknowns of an orbit determination, with priors."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from ahnn.tracking.accelerations.acceleration_of_time import CubicSplines
 Array = NDArray[np.float64]
 START = ("x", "y", "z", "vx", "vy", "vz")
 NUGGET = 1e-6
-"""Of the variance, on the diagonal of a smooth function's prior covariance, which is then inverted."""
+"""Relative jitter on the diagonal of a smooth function's prior covariance before inversion."""
 
 
 class Smoothness(NamedTuple):
-    """How large and how fast a learned acceleration is expected to be.
+    """Expected size and time scale of a learned acceleration.
 
     Attributes:
         deviation: standard deviation of its values, in units of the basis.
-        length: time over which it changes, s.
+        length: correlation time, s.
     """
 
     deviation: float
@@ -29,11 +29,11 @@ class Smoothness(NamedTuple):
 
 
 class SmoothBlock(NamedTuple):
-    """The weights of a learned acceleration among the unknowns.
+    """Weights of a learned acceleration among the unknowns.
 
     Attributes:
-        first: place of the first.
-        basis: the splines; three axes of so many weights follow one another.
+        first: index of the first weight.
+        basis: spline basis; the weights of the three axes are consecutive.
     """
 
     first: int
@@ -41,14 +41,14 @@ class SmoothBlock(NamedTuple):
 
     @property
     def places(self) -> slice:
-        """Where its weights stand."""
+        """Indices of its weights."""
         return slice(self.first, self.first + 3 * self.basis.size)
 
     def precision(self, smooth: Smoothness) -> Array:
         """Return the inverse of the prior covariance of its weights, (3 K, 3 K).
 
-        That of a Gaussian process with the Matern covariance of order 5/2 (Rasmussen & Williams 2006, 4.17)
-        at the centres of the splines, the same and independent for each axis.
+        The prior is a Gaussian process with the Matern covariance of order 5/2 (Rasmussen & Williams 2006,
+        4.17) at the centres of the splines, equal and independent for each axis.
         """
         apart = np.abs(np.subtract.outer(self.basis.centres, self.basis.centres)) * np.sqrt(5) / smooth.length
         covariance = smooth.deviation**2 * (1 + apart + apart**2 / 3) * np.exp(-apart)
@@ -58,15 +58,15 @@ class SmoothBlock(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """The vector [start, parameters of the forces, biases] and which of it is estimated.
+    """Vector [start, force parameters, biases] with priors and estimated subset.
 
     Attributes:
-        names: of all (Q,).
-        mean: what each is expected to be, (Q,); those that are not estimated keep it.
-        deviations: prior standard deviations, (Q,): 0 keeps the value, infinity knows nothing before.
-        forces: how many parameters of the forces there are.
-        bias: (station, kind) of each bias, places in the data.
-        smooth: learned accelerations, whose prior is a `Smoothness` instead.
+        names: names of all, (Q,).
+        mean: prior mean, (Q,); fixed value of those not estimated.
+        deviations: prior standard deviations, (Q,): 0 fixes the value, infinity means no prior.
+        forces: number of force parameters.
+        bias: (station, kind) indices of each bias in the data.
+        smooth: learned accelerations, with a `Smoothness` as prior.
     """
 
     names: tuple[str, ...]
@@ -78,11 +78,11 @@ class Unknowns:
 
     @property
     def free(self) -> NDArray[np.bool_]:
-        """Which are estimated, (Q,)."""
+        """Mask of estimated unknowns, (Q,)."""
         return self.deviations > 0
 
     def precision(self, smooth: Smoothness | None) -> Array:
-        """Return the inverse of the prior covariance of all, (Q, Q); 0 of what nothing is known of."""
+        """Return the inverse of the prior covariance of all, (Q, Q); 0 without prior knowledge."""
         with np.errstate(divide="ignore"):
             matrix = np.diag(np.where(self.free, self.deviations, np.inf) ** -2.0)
         if smooth is not None:

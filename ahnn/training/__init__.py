@@ -1,4 +1,4 @@
-"""How dynamics learn: objectives, steppers and optimisers, schedules, and the callbacks of a training."""
+"""Training of dynamics: objectives, steppers, optimisers, schedules, and callbacks."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
-"""Steps that follow the bend of the residuals: geodesic acceleration.
+"""Geodesic acceleration: second-order corrections of Gauss-Newton steps.
 
-Residuals of a network bend along a Gauss-Newton step v, and damping is what keeps the step short of the bend.
-The acceleration a solves the same damped equations for the second derivative of the residuals along v,
+Network residuals are nonlinear along a Gauss-Newton step v, and damping limits the step accordingly. The
+acceleration a solves the same damped equations for the second derivative of the residuals along v,
 
     (J^T J + damping D) a = -J^T r_vv,
 
-and v + a / 2 follows them further (Transtrum & Sethna 2012, arXiv:1201.5885). It costs a few evaluations of
-the residuals, and no Jacobian.
+and v + a / 2 is valid over a longer distance (Transtrum & Sethna 2012, arXiv:1201.5885). It costs a few
+evaluations of the residuals, and no Jacobian.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from torch import Tensor
 from ahnn.training.normal_equations import Block, damped_step, metric
 
 LONGEST = 0.75
-"""Length of the acceleration, in lengths of the step; where it is longer two terms are not enough."""
+"""Maximum length of the acceleration relative to the step, beyond which two terms are insufficient."""
 REACH = 0.1
-"""Share of the step over which the second derivative is a difference."""
+"""Displacement of the finite difference for the second derivative, as a fraction of the step."""
 
 
 @runtime_checkable
 class Bends(Protocol):
-    """A problem that knows the second derivative of its residuals along a step."""
+    """Problem that provides the second derivative of its residuals along a step."""
 
     def bend(self, theta: Tensor, step: Tensor, reach: float) -> Tensor:
-        """Return J^T r_vv at theta for the step v, by a difference over a share of it; all shape (P,)."""
+        """Return J^T r_vv at theta for the step v, by differences over a fraction of it; all shape (P,)."""
         ...
 
 
 def accelerated(
     problem: Bends, theta: Tensor, blocks: Sequence[Block], step: Tensor, damping: float
 ) -> Tensor | None:
-    """Return v + a / 2 for a damped step v from theta, shape (P,); None where the step is too long for it."""
+    """Return v + a / 2 for a damped step v from theta, shape (P,); None if the step is too long."""
     pull = problem.bend(theta, step, REACH)
     turned = [block._replace(gradient=pull[block.columns]) for block in blocks]
     turn = damped_step(turned, damping, theta)

@@ -1,4 +1,4 @@
-"""Covariances of sums that overlap with their neighbours alone: banded, so that whitening is cheap."""
+"""Banded covariances of sums that overlap only with their neighbours, with cheap whitening."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import torch
 from torch import Tensor
 
 ROWS = 16
-"""Of a block, at least."""
+"""Minimum number of sums in a block."""
 
 
 class BandedFactor(NamedTuple):
-    """The Cholesky factor L of the covariances of J sums of D components, in blocks of neighbouring sums.
+    """Cholesky factor L of the covariances of J sums of D components, in blocks of neighbouring sums.
 
     Attributes:
-        diagonal: the blocks L_kk, (B, N, R, R), R / D sums each; the last one may stand for fewer.
-        below: the blocks L_k,k-1 that stand left of these, (B, N, R, R); zero for the first.
+        diagonal: the blocks L_kk, (B, N, R, R), R / D sums each; the last one may contain fewer.
+        below: the blocks L_k,k-1 to the left of these, (B, N, R, R); zero for the first.
     """
 
     diagonal: Tensor
@@ -25,11 +25,11 @@ class BandedFactor(NamedTuple):
 
     @classmethod
     def of(cls, bands: Sequence[Tensor]) -> BandedFactor:
-        """Return the factor of positive definite covariances.
+        """Factor positive definite covariances.
 
         Args:
-            bands: for each distance d from 0 the covariances (B, J - d, D, D) of the sums j + d, in rows,
-                with the sums j, in columns; those further apart are independent.
+            bands: for each distance d from 0 the covariances (B, J - d, D, D) between sums j + d (rows) and
+                sums j (columns); more distant sums are independent.
         """
         diagonal, left = (blocks.unbind(1) for blocks in _blocks(bands))
         factors, below = [torch.linalg.cholesky(diagonal[0])], [left[0]]
@@ -40,11 +40,11 @@ class BandedFactor(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Sequence[BandedFactor]) -> BandedFactor:
-        """Return the factors of several batches as one."""
+        """Concatenate the factors of several batches."""
         return cls(*(torch.cat(blocks) for blocks in zip(*parts, strict=True)))
 
     def whiten(self, sums: Tensor) -> Tensor:
-        """Return L^-1 s of sums (B, J, D, M) whose covariance is L L^T, in their precision."""
+        """Return L^-1 s of sums (B, J, D, M) whose covariance is L L^T, in the precision of s."""
         blocks, rows = self.diagonal.shape[1:3]
         flat = sums.flatten(1, 2)
         missing = blocks * rows - flat.shape[1]
@@ -56,16 +56,16 @@ class BandedFactor(NamedTuple):
         return torch.cat(done, dim=1)[:, : flat.shape[1]].unflatten(1, sums.shape[1:3])
 
     def rows(self, part: slice) -> BandedFactor:
-        """Return those of some of the B."""
+        """Return the factors of selected segments."""
         return BandedFactor(self.diagonal[part], self.below[part])
 
 
 def _blocks(bands: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
-    """Return diagonal blocks, of which the lower triangle counts, and those left of them, (B, N, R, R)."""
+    """Return diagonal blocks (lower triangle used) and the blocks to their left, (B, N, R, R)."""
     count, size = bands[0].shape[1], bands[0].shape[-1]
-    many = max(len(bands) - 1, -(-ROWS // size))  # sums of a block, no fewer than a band reaches
+    many = max(len(bands) - 1, -(-ROWS // size))  # number of sums per block, at least the bandwidth
     number = -(-count // many)
-    # (B, N, row, column, D, D), columns of the block before and of its own
+    # (B, N, row, column, D, D), with columns of the previous and the own block
     store = bands[0].new_zeros(len(bands[0]), number, many, 2 * many, size, size)
     for distance, band in enumerate(bands):
         column = torch.arange(count - distance)

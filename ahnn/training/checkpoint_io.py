@@ -1,4 +1,4 @@
-"""Checkpoints that are written whole: beside their target, flushed, and renamed."""
+"""Atomic checkpoint writing: temporary file in the same folder, flush, rename."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ahnn.files import write_atomically
 
 
 class AtomicCheckpointIO(TorchCheckpointIO):
-    """Lightning's own writes through TMPDIR, which may be another file system, and moves what it wrote."""
+    """Replacement of Lightning's own, which writes to TMPDIR, possibly on another file system, and moves."""
 
     def save_checkpoint(
         self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any | None = None

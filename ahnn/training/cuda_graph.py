@@ -1,8 +1,8 @@
-"""Optimiser steps on a GPU whose loss and gradients are one recording of kernels (a CUDA graph).
+"""Optimiser steps on a GPU with loss and gradients recorded as a CUDA graph.
 
 A step of a small network is several hundred kernels of a few microseconds each: launched one by one, they
-leave the GPU waiting for the next most of the time. A recording is launched at once. Autograd then has one
-node between parameters and loss, and nothing is dispatched operation by operation.
+leave the GPU idle most of the time. A recording is launched as a whole. Autograd then has one node between
+parameters and loss, and no operations are dispatched individually.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from ahnn.types import Window
 log = logging.getLogger(__name__)
 
 WARM = 3
-"""Calls before the recording, in which libraries choose kernels and take their memory."""
+"""Number of calls before recording, in which libraries choose kernels and allocate memory."""
 
 
 class Program(NamedTuple):
-    """A function of a batch and the tensors of a model.
+    """Function of a batch and the tensors of a model.
 
     Attributes:
         call: (start, increments, dt if it is a tensor, parameters, buffers) -> loss and its gradients.
-        touched: parameters that the loss depends on; the others have no gradient.
+        touched: parameters that the loss depends on; other parameters have no gradient.
     """
 
     call: Callable[..., Any]
@@ -41,7 +41,7 @@ class Program(NamedTuple):
 
 
 def can_record(trainer: Any, model: Any) -> bool:
-    """Return whether all steps of a training are the same kernels on one GPU."""
+    """Return whether all training steps launch the same kernels on one GPU."""
     dynamics = model.dynamics
     integrator = getattr(dynamics, "integrator", None)
     fixed = _is_own(dynamics) and (integrator is None or _is_own(integrator))
@@ -51,7 +51,7 @@ def can_record(trainer: Any, model: Any) -> bool:
         and model.automatic_optimization
         and objectives <= {Recursive, Derivative}
         and fixed
-        and not isinstance(integrator, GaussLegendre4)  # its iterations end when they have converged
+        and not isinstance(integrator, GaussLegendre4)  # the number of iterations depends on data
         and trainer.world_size == 1
         and trainer.precision == "32-true"
     )
@@ -62,11 +62,11 @@ def _is_own(part: object) -> bool:
 
 
 class RecordedStep(FirstOrder):
-    """Steps by the gradient of such a loss; batches of another size, and failures, are left to autograd.
+    """Training steps by recorded gradients; batches of other sizes, and failures, use autograd.
 
     Args:
-        batch_size: of the batches that are recorded, all but the last of an epoch.
-        make: what turns the graph of such a loss into a program.
+        batch_size: size of the recorded batches, all but the last of an epoch.
+        make: function that converts the graph of a loss to a program.
     """
 
     def __init__(self, batch_size: int, make: Callable[[Traced], Program] | None = None) -> None:
@@ -77,7 +77,7 @@ class RecordedStep(FirstOrder):
     def step(
         self, objective: Objective, loss: nn.Module, dynamics: Dynamics, batch: Any, optimizer: Any
     ) -> Tensor:
-        """Return the loss of the batch, with a graph of one node."""
+        """Return the loss of the batch, with a one-node autograd graph."""
         compared = Compared(objective, loss, dynamics)
         program = None
         if not self.failed and len(batch.start) == self.batch_size:
@@ -90,11 +90,11 @@ class RecordedStep(FirstOrder):
         return value if batch.weight == 1 else value * batch.weight
 
     def _program(self, key: Any, compared: nn.Module, batch: Window) -> Program | None:
-        """Return the recording of such batches; None, with a warning, where it cannot be made."""
+        """Return the recording for a kind of batches; None, with a warning, if recording fails."""
         if key not in self.programs:
             try:
                 self.programs[key] = self.make(traced(compared, batch))
-            except Exception as error:  # an operation that cannot be recorded, or no memory for its results
+            except Exception as error:  # an operation that cannot be recorded, or insufficient memory
                 self.failed = True
                 log.warning(
                     "cuda_graphs: expected optimiser steps that can be recorded; received %s (%s). The "
@@ -106,12 +106,12 @@ class RecordedStep(FirstOrder):
 
 
 def recording(traced: Traced) -> Program:
-    """Return a program that copies its arguments to where the recorded kernels read them, and replays these.
+    """Return a program that copies its arguments to the recorded kernels' inputs and replays the kernels.
 
-    Each call writes over the results of the one before.
+    Each call overwrites the previous results.
 
     Args:
-        traced: with arguments on a GPU.
+        traced: traced graph with arguments on a GPU.
     """
     held = [t.clone() for t in traced.arguments]
     device = held[0].device
@@ -130,12 +130,12 @@ def recording(traced: Traced) -> Program:
         graph.replay()
         return found
 
-    call.reads = traced.graph  # pyright: ignore[reportFunctionMemberAccess] - the kernels read its constants
+    call.reads = traced.graph  # pyright: ignore[reportFunctionMemberAccess] - constants read by the kernels
     return Program(call, traced.touched)
 
 
 class _Known(Function):
-    """A loss whose gradients come with it."""
+    """Loss with precomputed gradients."""
 
     @staticmethod
     def forward(ctx: Any, program: Program, inputs: list[Tensor], *parameters: Tensor) -> Tensor:
@@ -143,7 +143,7 @@ class _Known(Function):
         value, *gradients = program.call(*inputs)
         found = iter(gradients)
         ctx.gradients = [next(found) if touched else None for touched in program.touched]
-        return value.clone()  # what is recorded is written over by the next step
+        return value.clone()  # recorded results are overwritten by the next step
 
     @staticmethod
     def backward(ctx: Any, *cotangents: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -152,6 +152,6 @@ class _Known(Function):
 
 
 def _key(objective: Objective, batch: Window) -> Any:
-    """Return what a recording depends on besides the model."""
+    """Return the key of a recording: all that it depends on besides the model."""
     dt = None if isinstance(batch.dt, Tensor) else batch.dt
     return objective, batch.start.shape, batch.increments.shape, batch.start.dtype, dt

@@ -1,4 +1,4 @@
-"""Which objective holds in an epoch, from the options of a loss."""
+"""Schedule of training objectives over epochs, built from loss options."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from ahnn.training.shooting import Shooting
 from ahnn.training.weak import Weak
 
 RELATIVE, WEAK = "relative", "weak"
-"""Names of the stages in the weak form, on whole trajectories of measured states: first in shares of the
-field, then in deviations of the noise."""
+"""Names of the stages in the weak form, on whole trajectories of measured states: first relative to the
+field, then relative to the noise.
+"""
 WHOLE = "whole"
 """Name of the stage of shooting over whole trajectories."""
 STAGE = (
@@ -31,18 +32,18 @@ STAGE = (
 @checked
 @dataclass(frozen=True)
 class SegmentOptions:
-    """What training on measurements minimises, and when.
+    """Training objective on measurements and its schedule.
 
     Attributes:
-        stages: intervals of a stretch, or `relative`, `weak`, `whole`, the fraction of the epochs up to
-            which they hold, and, where these are not `data.batch_size`, the stretches of a step. Short ones
-            first: over long ones a model that is still wrong never meets them.
-        robust: the loss of single residuals: none (squares), huber or student.
-        closing: steps of the parameters on all measurements, at most, before functions take what is left.
-        balance: 0, since standard deviations weigh measurements.
+        stages: list of stages: intervals per segment, or `relative`, `weak`, `whole`; the fraction of the
+            epochs at which the stage ends; and optionally the segments per step, by default
+            `data.batch_size`. Short segments first: an inaccurate model cannot fit long ones.
+        robust: robust loss of single residuals: none (squares), huber or student.
+        closing: maximum number of final parameter steps on all measurements, before steps in function space.
+        balance: 0, since measurements are weighted by standard deviations.
 
     Raises:
-        UserError: fractions that do not increase to 1, or stretches that are none.
+        UserError: fractions that do not increase to 1, or invalid segments.
     """
 
     stages: list[list[int | float | str]]
@@ -51,7 +52,7 @@ class SegmentOptions:
     balance: Annotated[float, Within(0, 0)] = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse stages that do not cover the training."""
+        """Check that the stages cover the training."""
         if (
             not self.stages
             or not all(map(_is_stage, self.stages))
@@ -68,7 +69,7 @@ class MeanSquare(nn.Module):
     """Mean square of residuals in standard deviations."""
 
     def fit(self, statistics: Statistics) -> None:
-        """Nothing to set: measurements bring their unit along."""
+        """Do nothing: residuals are already normalised."""
 
     def forward(self, residuals: Tensor) -> Tensor:
         """Return the mean square, a scalar."""
@@ -76,12 +77,12 @@ class MeanSquare(nn.Module):
 
 
 class Phase(NamedTuple):
-    """A part of a training.
+    """Phase of a training.
 
     Attributes:
-        until: fraction of the epochs up to which it lasts.
-        objective: what it minimises.
-        stretches: of measurements in a step; None takes as many as the data's batches have.
+        until: fraction of the epochs at which it ends.
+        objective: objective minimised in the phase.
+        stretches: number of segments per step; None for the batch size of the data.
     """
 
     until: float
@@ -91,13 +92,13 @@ class Phase(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Curriculum:
-    """Objectives one after the other.
+    """Sequence of objectives.
 
     Attributes:
-        phases: in their order, the last until 1.
-        judge: the objective of validations.
-        span: steps that a window of any phase must have; None for stretches of measurements.
-        closing: steps of the parameters on all measurements, at most, after the last phase.
+        phases: phases in order; the last ends at 1.
+        judge: objective of validations.
+        span: number of steps required in a window by any phase; None for segments of measurements.
+        closing: maximum number of parameter steps on all measurements after the last phase.
     """
 
     phases: Sequence[Phase]
@@ -110,11 +111,11 @@ class Curriculum:
         return self._phase(epoch, epochs).objective
 
     def intervals(self, epoch: int, epochs: int) -> int | None:
-        """Return the intervals of a stretch in an epoch; None takes whole trajectories."""
+        """Return the number of intervals per segment in an epoch; None for whole trajectories."""
         return cast(Shooting | Weak, self.at(epoch, epochs)).intervals
 
     def stretches(self, epoch: int, epochs: int) -> int | None:
-        """Return the stretches of a step in an epoch; None leaves it to the data."""
+        """Return the number of segments per step in an epoch; None for the default of the data."""
         return self._phase(epoch, epochs).stretches
 
     def _phase(self, epoch: int, epochs: int) -> Phase:
@@ -122,12 +123,12 @@ class Curriculum:
 
 
 def make_curriculum(size: int, window: int, options: dict[str, Any]) -> tuple[nn.Module, Curriculum]:
-    """Return the loss of states of D = size components, and the objectives of a training.
+    """Build the loss for states of D = size components, and the objectives of a training.
 
     Args:
-        size: D.
-        window: W of recursive predictions.
-        options: of `SegmentOptions`, where there are `stages`, or else of `LossOptions`.
+        size: number D of state components.
+        window: number W of recursive predictions.
+        options: options of `SegmentOptions` if they contain `stages`, else of `LossOptions`.
     """
     if "stages" in options:
         check_arguments("loss", SegmentOptions, options)
@@ -138,10 +139,10 @@ def make_curriculum(size: int, window: int, options: dict[str, Any]) -> tuple[nn
 
 
 def windowed(loss: Loss, window: int) -> Curriculum:
-    """Return derivatives first and the objective of the loss after them, as its options say.
+    """Build a curriculum of derivative fitting followed by the objective of the loss.
 
     Raises:
-        UserError: there is no such objective, or it has other options.
+        UserError: unknown objective or invalid options.
     """
     fraction, last = loss.options.derivative, named(loss, window)
     if fraction == 0:
@@ -152,7 +153,7 @@ def windowed(loss: Loss, window: int) -> Curriculum:
 
 
 def named(loss: Loss, window: int) -> Objective:
-    """Return the objective that a loss names; raises UserError for a name or an option that is unknown."""
+    """Build the objective named by a loss; raises UserError for an unknown name or option."""
     name, options = loss.options.objective, loss.options.options
     if name not in OBJECTIVES:
         message = (
@@ -165,14 +166,14 @@ def named(loss: Loss, window: int) -> Objective:
 
 
 def staged(options: SegmentOptions) -> Curriculum:
-    """Return shooting over stretches that grow; whole trajectories judge."""
+    """Build a curriculum of shooting over growing segments, validated on whole trajectories."""
     stages = cast("list[tuple[int | str, float, int]]", options.stages)
     phases = [Phase(until, objective_of(name, options.robust), *more) for name, until, *more in stages]
     return Curriculum(phases, Shooting(None, options.robust), None, options.closing)
 
 
 def _is_stage(stage: list[int | float | str]) -> bool:
-    """Return whether this is a stage: intervals or a name, a fraction, and perhaps stretches."""
+    """Return whether a value is a stage: intervals or a name, a fraction, and optional segments."""
     if len(stage) not in (2, 3) or isinstance(stage[1], str):
         return False
     if len(stage) == 3 and not (isinstance(stage[2], int) and stage[2] >= 1):
@@ -186,7 +187,7 @@ def _covers(ends: list[Any]) -> bool:
 
 
 def objective_of(stage: int | str, robust: RobustName) -> Shooting | Weak:
-    """Return the objective of a stage of this name."""
+    """Build the objective of a named stage."""
     if stage in (RELATIVE, WEAK):
         return Weak(robust, stage == RELATIVE)
     return Shooting(None if stage == WHOLE else int(stage), robust)

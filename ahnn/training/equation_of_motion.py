@@ -1,4 +1,4 @@
-"""The differential equation that what is measured obeys, which needs no solver to be held against samples."""
+"""Differential equation of the measured quantities, compared with samples without a solver."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from ahnn.types import SeparableField
 
 
 class Motion(NamedTuple):
-    """d^k y/dt^k = f(y) of what is measured, y.
+    """Equation of motion d^k y/dt^k = f(y) of measured quantities y.
 
     Attributes:
-        order: k, 1 of states and 2 of positions.
-        kinds: of quantities in y, side by side: positions and momenta, or positions.
+        order: order k, 1 for states and 2 for positions.
+        kinds: number of kinds of quantities in y: 2 for positions and momenta, 1 for positions.
         right: field of the dynamics -> f, which maps (..., M) to (..., M).
-        rows: (theta, y) -> df/dtheta, (..., L, P), of the last L components, which parameters move.
+        rows: (theta, y) -> df/dtheta, (..., L, P), of the last L components, which depend on parameters.
     """
 
     order: int
@@ -34,10 +34,10 @@ class Motion(NamedTuple):
 
 
 def equation_of_motion(dynamics: Dynamics, instrument: Instrument) -> Motion:
-    """Return the equation of the measured states, or of positions where p^2 / 2m is known.
+    """Build the equation of measured states, or of positions if p^2 / 2m is known.
 
     Raises:
-        UserError: other measurements, or dynamics whose field does not say how these move.
+        UserError: other measurements, or dynamics whose field does not determine their motion.
     """
     measurement = instrument.measurement
     if has_field(dynamics) and isinstance(measurement, State):
@@ -65,6 +65,6 @@ def _of_positions(dynamics: HasField) -> Motion:
         return lambda q: field.velocity(field.force(q))
 
     def of_parameters(theta: Tensor, q: Tensor) -> Tensor:
-        return known.velocity(rows(theta, torch.cat((q, torch.zeros_like(q)), -1)))  # both are linear
+        return known.velocity(rows(theta, torch.cat((q, torch.zeros_like(q)), -1)))  # both maps are linear
 
     return Motion(2, 1, right, of_parameters)

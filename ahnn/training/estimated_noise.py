@@ -92,11 +92,11 @@ def estimated(
     """Return the most likely noise of residuals about paths of learned dynamics.
 
     Args:
-        dynamics: float64, what all measurements were fitted by.
+        dynamics: float64 dynamics fitted to all measurements.
         train: with the stated white noise.
         robust: the loss of the fit.
         determined: number of parameters that the measurements determine, which made residuals smaller.
-        unknown: what is estimated.
+        unknown: noise parameters to be estimated.
     """
     some = train.first(SAMPLES).rows(slice(None, None, -(-len(train.times) // PATHS)))
     problem = whole_problem(dynamics, some, ROBUST[robust])
@@ -131,7 +131,7 @@ def _parts(noise: FoundNoise) -> tuple[Tensor, Tensor]:
 
 
 def written(found: Uncertainty, noise: FoundNoise, stated: Tensor, unknown: UnknownNoise) -> NoiseEstimate:
-    """Return what was found, as it is stored."""
+    """Return the estimate in the form stored with weights."""
     colour, size = noise.colour, len(stated)
     fractions, memories = (
         ([0.0] * size, [1.0] * size) if colour is None else (part.tolist() for part in colour)

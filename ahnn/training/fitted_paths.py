@@ -1,7 +1,7 @@
-"""Where a training on measurements was: the states along the paths that it fitted.
+"""Region covered by a training on measurements: states along the fitted paths.
 
-Before the training nothing but smoothed measurements says where paths lead, and where samples lie apart, as
-past a perigee, these are not there.
+Before training, paths are known only from smoothed measurements, which are missing where samples are sparse,
+as near a perigee.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from ahnn.shooting.robust import ROBUST, RobustName
 from ahnn.training.maximum_posterior import whole_problem
 
 PATHS, STATES = 150, 50_000
-"""Trajectories of the training that are followed, and states of these that are returned, at most."""
+"""Maximum number of training trajectories propagated, and of states returned."""
 
 
 @torch.no_grad()
 def fitted_states(dynamics: Dynamics, train: Segment, robust: RobustName) -> Tensor:
-    """Return states (M, D), evenly chosen along the paths that fit measurements best; none where none do.
+    """Return states (M, D), evenly spaced along the best-fitting paths; empty if no path fits.
 
     Args:
-        dynamics: with a field, float64.
-        train: all measurements of the training.
-        robust: the loss of single residuals.
+        dynamics: float64 dynamics with a field.
+        train: all training measurements.
+        robust: robust loss of single residuals.
     """
     some = train.rows(slice(None, None, -(-len(train.times) // PATHS)))
     problem = whole_problem(dynamics, some, ROBUST[robust])

@@ -1,10 +1,10 @@
-"""The last step of a training, taken by the functions that were learned: their residuals hardly bend.
+"""Final training step in function space, where residuals are nearly linear.
 
-A Gauss-Newton step of networks that are linear in their parameters leads to the optimum, up to what normal
-points leave out of J and what paths themselves bend. So the gradient is found again where the step leads, by
-reverse mode, and steps with the same matrix follow, mixed so that what is left is least (Anderson 1965; of
-linear equations that is GMRES). Where the first step was so long that paths bend, they lead nowhere: normal
-equations of the functions are then found anew at the best place.
+For networks that are linear in their parameters a Gauss-Newton step reaches the optimum, except for
+approximations of J by normal points and the nonlinearity of paths. The gradient is therefore recomputed at
+the new point, by reverse mode, and further steps with the same matrix follow, mixed to minimise the residual
+gradient (Anderson 1965; GMRES for linear equations). If the first step was too long for linear paths, these
+steps fail, and the normal equations are recomputed at the best point.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from ahnn.training.levenberg_marquardt import SUFFICIENT
 from ahnn.training.maximum_posterior import PosteriorPoint, WideProblem, after, of_functions
 
 ARRIVED = 0.05
-"""Squared length of the step that is left, or decrease by the last one, that is not worth another step.
+"""Squared length of the remaining step, or decrease by the last one, below which the iteration stops.
 
-As a share of what noise alone gives: 1 for each parameter that the data determine.
+In units of the contribution of noise alone: 1 for each parameter determined by the data.
 """
 MATRICES, STEPS = 3, 4
-"""Normal equations, and steps of functions with each of them, at most."""
+"""Maximum number of normal equations, and of steps in function space with each of them."""
 
 
 class Taken(NamedTuple):
-    """Where functions are.
+    """Point in function space.
 
     Attributes:
-        dynamics: the functions.
-        problem: theirs.
-        weights: parameters of the dynamics at which the problem was followed.
-        place: in the parameters theta that the functions are linear in.
+        dynamics: dynamics with the linearised functions.
+        problem: their least-squares problem.
+        weights: parameters of the dynamics at which the problem was evaluated.
+        place: posterior point in the linear parameters theta.
     """
 
     dynamics: Dynamics
@@ -49,9 +49,9 @@ class Taken(NamedTuple):
 def whole_step(
     problem: WideProblem, dynamics: Dynamics, start: PosteriorPoint
 ) -> tuple[Dynamics, PosteriorPoint] | None:
-    """Return dynamics whose functions took the step to the optimum, and the place where they are.
+    """Take the step to the optimum in function space; return the dynamics and the point reached.
 
-    None where functions cannot take it, or where it does not pay.
+    Returns None if the step fails or brings no gain.
     """
     if arrived(start):
         return None
@@ -73,18 +73,18 @@ def whole_step(
 
 
 def arrived(place: PosteriorPoint) -> bool:
-    """Return whether the step that is left is not worth taking."""
+    """Return whether the remaining step is negligible."""
     return place.remaining <= ARRIVED * place.determined
 
 
 def lowest(problem: WideProblem, dynamics: Dynamics, origin: Tensor, here: PosteriorPoint) -> Taken | None:
-    """Return the lowest place that steps with the matrix of `here` lead to; None if no step can be taken.
+    """Return the lowest point reached by steps with the matrix of `here`; None if no step succeeds.
 
     Args:
-        problem: whose starts fit near here.
-        dynamics: what the functions are linearised about.
-        origin: its parameters, shape (P,).
-        here: where the steps begin.
+        problem: problem with starts fitted near this point.
+        dynamics: dynamics about which the functions are linearised.
+        origin: parameters of these dynamics, shape (P,).
+        here: initial point.
     """
     theta, places = here.theta + here.offset, [here]
     best: Taken | None = None
@@ -107,7 +107,7 @@ def lowest(problem: WideProblem, dynamics: Dynamics, origin: Tensor, here: Poste
 
 
 def mixed(places: Sequence[PosteriorPoint]) -> Tensor:
-    """Return parameters (P,) one step from the mixture of places whose gradient is the least."""
+    """Return parameters (P,) one step from the mixture of points with the smallest gradient."""
     *others, last = places
     theta, pull = last.theta, last.pull
     if others:

@@ -16,12 +16,12 @@ from ahnn.errors import UserError
 class ExpHyperbolicLR(LRScheduler):
     """eta(n) = eta_0 (eta_0 / eta_inf)^(h(n) - h(0)), h(n) = sqrt((N - n)/U (2 - (N + n)/U)).
 
-    The first slope depends on U and hardly on N, so settings found in short trainings hold in long ones. The
-    infimum is reached only for U = N.
+    The initial slope depends on U and hardly on N, so settings found in short trainings apply to long ones.
+    The infimum is reached only for U = N.
 
     Args:
-        optimizer: its learning rates are the eta_0.
-        max_epochs: N, epochs of the training; later epochs keep the last rate.
+        optimizer: optimiser with initial learning rates eta_0.
+        max_epochs: number N of training epochs; later epochs keep the last rate.
         upper_bound: U >= N.
         infimum_lr: eta_inf < eta_0.
 

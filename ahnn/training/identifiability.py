@@ -1,4 +1,4 @@
-"""What measurements can tell of dynamics, asked before any are generated."""
+"""Identifiability checks before measurements are generated."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from ahnn.errors import UserError
 
 
 def require_identifiable(dynamics: Dynamics, sensor: Sensor, *, windows: bool) -> None:
-    """Refuse dynamics or a loss that the measurements do not determine.
+    """Check that the measurements determine the dynamics and suit the loss.
 
-    From positions alone only a known kinetic energy says what the momenta are: any other p(q, dq/dt) gives a
+    Position measurements determine momenta only if the kinetic energy is known: any other p(q, dq/dt) gives a
     Hamiltonian with the same positions.
 
     Args:
-        dynamics: what is to be learned.
-        sensor: what training sees.
+        dynamics: dynamics to be learned.
+        sensor: sensor of the training data.
         windows: whether the loss compares windows of states.
 
     Raises:
-        UserError: names what can be learned instead.
+        UserError: not determined; the message names identifiable alternatives.
     """
     if dynamics.clock:
         message = (
@@ -43,13 +43,13 @@ def require_identifiable(dynamics: Dynamics, sensor: Sensor, *, windows: bool) -
 
 
 def require_unbiased(balance: float) -> None:
-    """Refuse windows of measured states that count relative to their own increments, which hold their noise.
+    """Check that windows of measured states are not weighted by their own noisy increments.
 
-    A weight that falls with the noise of the residual it belongs to favours samples by their noise: the fit
-    is biased however many there are.
+    A weight that depends on the noise of its own residual favours samples by their noise, and biases the fit
+    for any number of samples.
 
     Raises:
-        UserError: names the losses that weigh by standard deviations.
+        UserError: such weights; the message names losses weighted by standard deviations.
     """
     if balance:
         message = (

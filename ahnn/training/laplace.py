@@ -1,16 +1,16 @@
-"""The end of a training on measurements: its last steps on all of them, and how well they determine it.
+"""Final steps of a training on measurements, and Laplace's approximation of the parameter covariance.
 
-With all measurements in every step there is no noise of mini-batches left: Gauss-Newton steps on residuals
-and prior lead to the optimum. Parameters follow a bent valley there, in many short steps; functions do not,
-so that the last steps are taken by them (`ahnn.training.functions`). The covariance of the parameters is the
-inverse of J^T J, starts eliminated, and the prior (Laplace's approximation). Three things that no truth is
-needed for may widen it:
+With all measurements in every step there is no mini-batch noise, and Gauss-Newton steps on residuals and
+prior converge to the optimum. In parameter space they follow a curved valley in many short steps, so the last
+steps are taken in function space (`ahnn.training.functions`). The parameter covariance is the inverse of J^T
+J plus the prior precision, with initial states eliminated (Laplace's approximation). Three corrections, which
+need no truth, may widen it:
 
-- chi-square of the training per degree of freedom, where it exceeds 1: the noise is larger than was said, or
-  the model does not reach the data. Of a robust loss it is what that loss makes of the noise;
-- the step that is left: the training is off by that much, too;
-- held-out measurements: where the model leaves more of them unexplained than both account for, by the least
-  factor that they do not refuse.
+- chi-square of the training per degree of freedom, if it exceeds 1: the noise is larger than specified, or
+the model does not fit the data. For a robust loss the corresponding factor of that loss is used;
+- the remaining step, as an additional error of the training;
+- held-out measurements: if their residuals exceed both contributions, the least factor that they do not
+reject.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ from ahnn.training.shared_bias import spread_over
 from ahnn.uncertainty import Uncertainty
 
 DAMPING = 1e-6
-"""Of the first step: a training in float32 has left what is seen a millionth as well as the rest."""
+"""Initial damping: float32 training determines directions only to a millionth of the best observable ones."""
 HARDER = 10.0
-"""Times the damping, for a step that went beyond its bend."""
+"""Factor on the damping after a step beyond the linear range."""
 REFUSED = 3.0902
-"""Standard deviations above what a factor leads to: it is then refused with 99.9 %, one-sided.
+"""Standard deviations above the expectation at which a factor is rejected, with 99.9 %, one-sided.
 
-With 95 % the noise of held-out measurements would widen the bands of one right model in twenty.
+With 95 % the noise of held-out measurements would widen the bands of one correct model in twenty.
 """
 
 
@@ -53,17 +53,17 @@ With 95 % the noise of held-out measurements would widen the bands of one right 
 def conclude(
     dynamics: Dynamics, train: Segment, held_out: Segment, steps: int, robust: RobustName = "none"
 ) -> Uncertainty | None:
-    """Take the last steps of a training and return the covariance of the parameters that it ended at.
+    """Take the final steps of a training and return the covariance of the resulting parameters.
 
     Args:
-        dynamics: with a field, float64; their parameters are moved.
-        train: all measurements of the training.
-        held_out: measurements that no step was taken on.
-        steps: at most so many.
-        robust: the loss of single residuals.
+        dynamics: float64 dynamics with a field, updated in place.
+        train: all training measurements.
+        held_out: measurements not used by any step.
+        steps: maximum number of steps.
+        robust: robust loss of single residuals.
 
     Returns:
-        None if no trajectory is explained; the parameters then stay where they are.
+        None if no trajectory is explained; the parameters are then unchanged.
     """
     found = _concluded(dynamics, train, held_out, steps, robust)
     if found is None:
@@ -93,7 +93,7 @@ def _concluded(
 
 
 def with_biases(found: Uncertainty, problem: WideProblem) -> Uncertainty:
-    """Return what was found with the biases of the sensor and their standard deviations, where unknown."""
+    """Add the sensor biases and their standard deviations to the result, if they are unknown."""
     if problem.shared is None:
         return found
     size = len(problem.batch.instrument.deviations)
@@ -107,7 +107,7 @@ def with_biases(found: Uncertainty, problem: WideProblem) -> Uncertainty:
 def approached(
     dynamics: Dynamics, train: Segment, steps: int, robust: RobustName
 ) -> tuple[WideProblem, PosteriorPoint | None, float]:
-    """Take steps of the parameters; return problem and place where they end, and what the last one gained."""
+    """Take parameter steps; return the final problem and point, and the last decrease."""
     parameters = list(dynamics.parameters())
     sizes = [p.numel() for p in parameters]
     problem = whole_problem(dynamics, train, ROBUST[robust])
@@ -121,7 +121,7 @@ def approached(
             break
         gained = decrease
         vector_to_parameters(theta, parameters)
-        if problem.lost:  # what did not converge before may do so now
+        if problem.lost:  # segments that failed to converge before may converge now
             problem = whole_problem(dynamics, train, ROBUST[robust])
         else:
             problem.follow(theta)
@@ -130,7 +130,7 @@ def approached(
 
 
 def place(problem: WideProblem, theta: Tensor, sizes: Sequence[int]) -> PosteriorPoint | None:
-    """Return the problem to second order at theta, shape (P,); None if nothing depends on it."""
+    """Return the problem to second order at theta, shape (P,); None if no residual depends on theta."""
     loss, degrees, blocks = problem.equations(theta, sizes)
     if not blocks:
         return None
@@ -139,9 +139,9 @@ def place(problem: WideProblem, theta: Tensor, sizes: Sequence[int]) -> Posterio
 
 
 def lower(problem: WideProblem, here: PosteriorPoint, damping: float) -> tuple[Tensor | None, float, float]:
-    """Return parameters (P,) after a step that lowers residuals and prior; a damping; the decrease.
+    """Return parameters (P,) after a step that lowers residuals and prior, the damping, and the decrease.
 
-    None for the parameters where no step lowers them.
+    Parameters are None if no step lowers the objective.
     """
     block = with_prior(here.block, here.prior, here.theta)
     before = here.loss + here.prior.penalty(here.theta)
@@ -162,11 +162,11 @@ def lower(problem: WideProblem, here: PosteriorPoint, damping: float) -> tuple[T
 
 
 class Noise(NamedTuple):
-    """What the residuals of a training are like, beside their mean cost per degree of freedom.
+    """Noise statistics of training residuals, in addition to the mean cost per degree of freedom.
 
     Attributes:
         widening: factor on the covariance, 1 for squares (`ahnn.shooting.robust.variance`).
-        scatter: variance of what a residual adds to the sum.
+        scatter: variance of a residual's contribution to the sum.
     """
 
     widening: float
@@ -174,7 +174,7 @@ class Noise(NamedTuple):
 
     @classmethod
     def of(cls, problem: WideProblem, theta: Tensor) -> Noise:
-        """Return the noise of a problem at theta, shape (P,)."""
+        """Estimate the noise of a problem at theta, shape (P,)."""
         fitted = problem.refitted(theta)
         residuals = problem.batch.white_residuals(fitted.states[:, problem.steps.ends])
         sums = problem.limit.cost(fitted.sums)
@@ -182,14 +182,14 @@ class Noise(NamedTuple):
 
 
 def scatter(sums: Tensor, degrees: Tensor) -> float:
-    """Return the variance of what a residual adds to the sum, as that of whole segments tells it.
+    """Estimate the variance of a residual's contribution to the sum from that of whole segments.
 
-    It is 2 v^2 for squares of normal residuals of variance v, and no less is returned: a few segments could
-    agree by chance. Outliers make it several times as large, in a robust loss too.
+    For squares of normal residuals of variance v it is 2 v^2, the lower limit of the result, since a few
+    segments may agree by chance. Outliers make it several times larger, even with a robust loss.
 
     Args:
-        sums: of segments, (B,).
-        degrees: of freedom, (B,).
+        sums: sums of segments, (B,).
+        degrees: degrees of freedom of segments, (B,).
     """
     typical = sums.sum() / degrees.sum()
     found = (sums - typical * degrees).square().sum() / degrees.sum()
@@ -197,13 +197,13 @@ def scatter(sums: Tensor, degrees: Tensor) -> float:
 
 
 def uncertainty(here: PosteriorPoint, held_out: Equations, names: Sequence[str], noise: Noise) -> Uncertainty:
-    """Return the covariance at a place, as wide as the held-out measurements ask for.
+    """Return the covariance at a point, widened as required by the held-out measurements.
 
     Args:
-        here: where the training ends.
-        held_out: the held-out measurements to second order.
-        names: of the groups of parameters.
-        noise: of the training.
+        here: final point of the training.
+        held_out: quadratic model of the held-out measurements.
+        names: names of the parameter groups.
+        noise: noise statistics of the training.
     """
     inflation = max(here.chi_square * noise.widening, 1.0)
     spread = Uncertainty(here.factor, here.offset, inflation, {}).spread
@@ -221,17 +221,17 @@ def uncertainty(here: PosteriorPoint, held_out: Equations, names: Sequence[str],
 
 
 def held_out_scale(factor: Tensor, test: Equations, noise: float, scatter: float) -> float:
-    """Return the least factor on a covariance L L^T, from 1 on, that held-out measurements do not refuse.
+    """Return the least factor >= 1 on a covariance L L^T that held-out measurements do not reject.
 
-    If theta is off by N(0, f L L^T), the squares of n residuals with noise of variance v add up to
-    n v + f tr M, M = L^T J^T J L, with the variance n s + 2 (2 v f tr M + f^2 tr M^2), s being that of a
-    square. What was found is `REFUSED` standard deviations above that for the f returned.
+    If theta has error N(0, f L L^T), the expected sum of squares of n residuals with noise variance v is n v
+    + f tr M, M = L^T J^T J L, with variance n s + 2 (2 v f tr M + f^2 tr M^2), where s is the variance of a
+    square. The observed sum is `REFUSED` standard deviations above the expectation for the f returned.
 
     Args:
         factor: L, shape (P, R).
-        test: the held-out measurements to second order.
-        noise: v, as the training found it.
-        scatter: s, likewise.
+        test: quadratic model of the held-out measurements.
+        noise: v, estimated by the training.
+        scatter: s, estimated by the training.
     """
     if not test.blocks:
         return 1.0
@@ -241,6 +241,6 @@ def held_out_scale(factor: Tensor, test: Equations, noise: float, scatter: float
     beyond = excess**2 - REFUSED**2 * test.degrees * scatter
     if excess <= 0 or beyond <= 0:
         return 1.0
-    # The root of a f^2 - 2 b f + c = 0 below which the noise alone explains more than was found.
+    # Root of a f^2 - 2 b f + c = 0, below which noise alone explains more than observed.
     a, b = expected**2 - 2 * REFUSED**2 * squares, expected * (excess + 2 * REFUSED**2 * noise)
     return max(1.0, beyond / (b + (b**2 - a * beyond) ** 0.5))

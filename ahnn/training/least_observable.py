@@ -1,4 +1,4 @@
-"""Which parameters measurements tell least: a filter that follows more of their kind has them as states."""
+"""Least observable parameter directions, which become states of a filter on similar measurements."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from ahnn.training.shooting import ShootingProblem
 from ahnn.uncertainty.directions import ARCS, MOST, Watched, filtered_directions
 
 INTERVALS = 2000
-"""Measurement intervals of a trajectory that are looked at, at most."""
+"""Maximum number of measurement intervals considered per trajectory."""
 
 
 @torch.no_grad()
 def least_told(dynamics: Dynamics, spread: Tensor, train: Segment, robust: RobustName) -> Tensor | None:
-    """Return the directions (P, K) of the parameters that a filter tells least from such measurements.
+    """Return the parameter directions (P, K) least observable by a filter from such measurements.
 
-    It follows some trajectories of the training, from starts as uncertain as states are large.
+    Simulates the filter on some training trajectories, with initial uncertainty as large as the states.
 
     Args:
-        dynamics: with a field, float64.
+        dynamics: float64 dynamics with a field.
         spread: L, shape (P, R); L L^T is the covariance of the parameters.
-        train: all measurements of the training.
-        robust: the loss of single residuals.
+        train: all training measurements.
+        robust: robust loss of single residuals.
 
     Returns:
-        None where the dynamics meet none of these trajectories.
+        None if the dynamics fit none of these trajectories.
     """
     some = train.first(INTERVALS).rows(slice(None, None, max(1, len(train.times) // ARCS)))
     met = ShootingProblem(dynamics, some, ROBUST[robust], LOST)

@@ -1,8 +1,8 @@
-"""A batch as a least-squares problem in the parameters of a module: residuals and their Jacobian.
+"""Least-squares problems in the parameters of a module: residuals and Jacobians of a batch.
 
-Jacobians are written out where the structure is known, and else come from vectorised reverse mode, one pass
-per residual of a sample. Recursive predictions carry the sensitivity of their state along: W steps then cost
-W passes and not W^2.
+Jacobians are in closed form for known structures, and otherwise by vectorised reverse mode, one pass per
+residual of a sample. Recursive predictions propagate state sensitivities: W steps then cost W passes instead
+of W^2.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from ahnn.training.normal_equations import Equations, normal_equations
 from ahnn.types import TimeStep, Window
 
 SAMPLES = 1000
-"""Samples whose residuals are computed at once: their layers then stay in a core's cache."""
+"""Number of samples whose residuals are computed at once, so that layers fit into a core's cache."""
 
 
 class LeastSquaresProblem(Protocol):
-    """A sum of squares in the flat parameter vector theta, shape (P,)."""
+    """Sum of squares as a function of the flat parameter vector theta, shape (P,)."""
 
     def loss(self, theta: Tensor) -> Tensor:
         """Return the sum of squared residuals, a scalar."""
         ...
 
     def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
-        """Return the problem to second order at theta, which consists of tensors of these sizes."""
+        """Return the quadratic model at theta, composed of tensors of given sizes."""
         ...
 
 
@@ -44,8 +44,8 @@ class LeastSquares(NamedTuple):
 
     Attributes:
         residuals: theta -> r, shape (N,).
-        jacobian: theta -> dr/dtheta, shape (N, P), float32. It only shapes the step; whether the step is
-            good is decided by residuals in full precision.
+        jacobian: theta -> dr/dtheta, shape (N, P), float32. It only determines the step direction; acceptance
+            is decided by residuals in full precision.
     """
 
     residuals: Callable[[Tensor], Tensor]
@@ -73,12 +73,12 @@ def pointwise_problem(
     """Return the problem of fitting a function of single states.
 
     Args:
-        module: its parameters are the unknowns.
+        module: module whose parameters are the unknowns.
         residuals: the fitted function (B, D) -> (B, D), computed with the module.
-        x: where it is compared, (B, D).
-        targets: what it is compared with, (B, D).
-        weights: of the residuals, (B, D).
-        jacobian: (theta, x, weights) -> (B, D, P) of weighted residuals, where it is known.
+        x: evaluation points, (B, D).
+        targets: target values, (B, D).
+        weights: residual weights, (B, D).
+        jacobian: (theta, x, weights) -> (B, D, P) of weighted residuals, if available.
     """
     rows = jacobian or mapped_jacobian(module, residuals)
 
@@ -100,11 +100,11 @@ def recursive_problem(
     """Return the problem of predicting W steps recursively.
 
     Args:
-        module: its parameters are the unknowns.
-        increment: (x (B, D), dt) -> (B, D) of one step, computed with the module.
+        module: module whose parameters are the unknowns.
+        increment: (x (B, D), dt) -> increment (B, D) of one step, computed with the module.
         batch: first states and true increments of W steps.
-        weights: of the residuals, (B, W, D).
-        clock: clock coordinates of extended states, whose increments are known.
+        weights: residual weights, (B, W, D).
+        clock: number of clock coordinates of extended states, whose increments are known.
     """
     function = parametrised(module, increment, batch.start.dtype)
     derivatives = increment_jacobian(module, increment)
@@ -138,11 +138,11 @@ def recursive_problem(
 def _all_residuals(
     module: nn.Module, part: Callable[[slice], Tensor], x: Tensor
 ) -> Callable[[Tensor], Tensor]:
-    """Return theta -> r, (N,), from a function of some samples, computed with the module.
+    """Return theta -> r, (N,), from a function of selected samples, computed with the module.
 
     Args:
-        module: its parameters are replaced by theta.
-        part: which samples -> their residuals.
+        module: module whose parameters are replaced by theta.
+        part: selection of samples -> their residuals.
         x: states of all samples, (B, D).
     """
     parts = slices(len(x), SAMPLES, x.device)

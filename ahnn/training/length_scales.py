@@ -1,10 +1,10 @@
-"""The lengths of a Gaussian process by the evidence of the measurements, before the last steps of a training.
+"""Length scales of a Gaussian process by maximum evidence, before the final steps of a training.
 
-Steps of the parameters fit lengths as they fit weights: the shorter they are, the less is left of the noise.
-The evidence p(measurements | lengths, strength), weights integrated out, is largest where the process is as
-smooth as the measurements allow (Rasmussen & Williams 2006, chapter 5). Predicted measurements are linear in
-the weights of the waves along the paths that fit, so that it has a closed form there, in the residuals y that
-no weights would leave and what weights move them by, J:
+Parameter steps fit lengths like weights: shorter lengths fit more of the noise. The evidence p(measurements |
+lengths, strength), with weights integrated out, is largest for the smoothest process that the measurements
+allow (Rasmussen & Williams 2006, chapter 5). Along the fitted paths, predicted measurements are linear in the
+weights of the waves, so that the evidence has a closed form in the residuals y at zero weights and their
+Jacobian J:
 
     log p = b^T (J^T J + alpha)^-1 b / 2 - log det(J^T J + alpha) / 2 + K log(alpha) / 2,    b = J^T y
 """
@@ -27,19 +27,19 @@ from ahnn.shooting.robust import Robust
 from ahnn.training.maximum_posterior import WideProblem, after, whole_problem
 
 ROUNDS = 3
-"""Times that paths are fitted and lengths found along them."""
+"""Number of alternations between fits of paths and of lengths."""
 FACTORS = (4.0, 2.0, 1.4)
-"""By which lengths are tried longer and shorter, from coarse to fine."""
+"""Factors by which longer and shorter lengths are tried, from coarse to fine."""
 LONGEST = 30.0
-"""In half ranges of the states: what is longer is a polynomial of low degree there, to rounding."""
+"""Upper limit of lengths, in half ranges of the states; longer ones give low-degree polynomials."""
 STRENGTHS = [10.0**power for power in range(-10, 7)]
-"""Of the prior on the weights, that are tried."""
+"""Candidate precisions of the prior on the weights."""
 OPEN = 1e-6
-"""Strength of the prior on what else is learned, which is no hyperparameter here."""
+"""Precision of the prior on other learned parameters, not a hyperparameter here."""
 
 
 class Posterior(NamedTuple):
-    """Log evidence of some lengths, and the parameters (P,) that are most probable with them."""
+    """Log evidence of given lengths, and the most probable parameters (P,)."""
 
     evidence: float
     theta: Tensor
@@ -47,12 +47,12 @@ class Posterior(NamedTuple):
 
 @torch.no_grad()
 def choose_lengths(dynamics: Dynamics, train: Segment, robust: Robust) -> None:
-    """Set and hold the lengths of the largest evidence, and the weights that are most probable with them.
+    """Set and freeze the lengths of maximum evidence, and set the most probable weights.
 
     Args:
-        dynamics: with a field; without waves nothing happens.
-        train: all measurements of the training.
-        robust: the loss of single residuals.
+        dynamics: dynamics with a field; unchanged without waves.
+        train: all training measurements.
+        robust: robust loss of single residuals.
     """
     waves = [module for module in dynamics.modules() if isinstance(module, Waves)]
     if not waves:
@@ -72,17 +72,17 @@ def choose_lengths(dynamics: Dynamics, train: Segment, robust: Robust) -> None:
 
 
 def lengths_of(dynamics: Dynamics) -> Tensor:
-    """Return which parameters (P,) are lengths."""
+    """Return the mask of length parameters, (P,)."""
     return chosen(dynamics, lambda name: name.endswith("log_lengths"))
 
 
 def search(posterior: Callable[[Tensor], Posterior], theta: Tensor, lengths: Tensor) -> Posterior:
-    """Return the best that trying longer and shorter lengths finds, all together and each alone.
+    """Search lengths by factors, jointly and individually, and return the best.
 
     Args:
-        posterior: of parameters (P,) whose lengths are tried.
-        theta: to begin with.
-        lengths: which parameters are lengths, (P,).
+        posterior: evidence as a function of parameters (P,).
+        theta: initial parameters.
+        lengths: mask of length parameters, (P,).
     """
     own = torch.eye(len(theta)).to(theta)[lengths]
     directions = [own.sum(0), *own] if len(own) > 1 else [*own]
@@ -101,7 +101,7 @@ def search(posterior: Callable[[Tensor], Posterior], theta: Tensor, lengths: Ten
 
 
 class Along:
-    """The measurements along paths that fit, as they depend on lengths and weights."""
+    """Measurements along fitted paths as functions of lengths and weights."""
 
     def __init__(self, problem: WideProblem, dynamics: Dynamics) -> None:
         self.problem = problem
@@ -110,7 +110,7 @@ class Along:
         self.lengths, self.linear = lengths_of(dynamics), linear_in(dynamics)
 
     def posterior(self, theta: Tensor) -> Posterior:
-        """Return the evidence of the lengths of theta, (P,), largest over strengths, and the best weights."""
+        """Return the evidence of lengths in theta, (P,), maximal over precisions, with the best weights."""
         free, own = ~self.lengths, self.problem.forcing
         weights = torch.where(self.linear, self.here, 0.0)
 
@@ -136,13 +136,13 @@ class Along:
 
 
 def evidence(matrix: Tensor, b: Tensor, waves: Tensor, alpha: float) -> float:
-    """Return log p but for a constant; -inf where it has no digits left.
+    """Return log p up to a constant; -inf if lost to rounding.
 
     Args:
         matrix: J^T J, (P, P).
         b: J^T y, (P,).
-        waves: which parameters are weights of waves, (P,).
-        alpha: strength of their prior.
+        waves: mask of wave weights, (P,).
+        alpha: precision of their prior.
     """
     factor, wrong = torch.linalg.cholesky_ex(matrix + (alpha * waves).diag())
     if int(wrong):
@@ -153,12 +153,12 @@ def evidence(matrix: Tensor, b: Tensor, waves: Tensor, alpha: float) -> float:
 
 
 def linear_in(dynamics: Dynamics) -> Tensor:
-    """Return which parameters (P,) are weights of waves, in which the field is linear."""
+    """Return the mask of wave weights, (P,), in which the field is linear."""
     networks = [name.removesuffix("hidden.0") for name, m in dynamics.named_modules() if isinstance(m, Waves)]
     return chosen(dynamics, lambda name: name in {f"{network}output.weight" for network in networks})
 
 
 def chosen(dynamics: Dynamics, named: Callable[[str], bool]) -> Tensor:
-    """Return which parameters (P,) have a name that is asked for."""
+    """Return the mask of parameters (P,) with given names."""
     parts = [torch.full((p.numel(),), named(name)) for name, p in dynamics.named_parameters()]
     return torch.cat(parts)

@@ -21,9 +21,9 @@ from ahnn.training.steppers import SecondOrder
 SMALLEST, LARGEST = 1e-14, 1e6
 """Range of the damping."""
 SUFFICIENT = 1e-3
-"""Share of the promised decrease that a step must bring."""
+"""Minimum ratio of actual to predicted decrease for an accepted step."""
 ATTEMPTS = 6
-"""Dampings tried on one batch before the next one is drawn."""
+"""Number of dampings tried on one batch before the next one is drawn."""
 
 
 @checked
@@ -32,17 +32,17 @@ class LevenbergMarquardt(Optimizer):
 
     The damping is relative to the diagonal of J^T J plus a thousandth of its mean: pure Marquardt damping
     lets saturated units, whose diagonal vanishes, take huge steps. A step must lower the loss of its batch
-    and must not raise the loss of windows held back from it by more than `tolerance`: a step that overfits
-    its batch would throw the network away.
+    and must not raise the loss of held-out windows by more than `tolerance`: a step that overfits its batch
+    would ruin the network.
 
-    On the CPU the products of a step, its residuals and Jacobians run in parts on all cores that the process
-    may use (`ahnn.cores`), beside the threads of single operations.
+    On the CPU, products, residuals and Jacobians of a step run in parts on all cores available to the process
+    (`ahnn.cores`), in addition to the threads of single operations.
 
     Args:
-        params: the parameters of the module whose residuals are minimised.
-        damping: of the first step; it adapts from there.
-        tolerance: admitted relative rise of the loss on the windows held back.
-        acceleration: let steps follow the bend of the residuals where it is known, on measurements.
+        params: parameters of the module whose residuals are minimised.
+        damping: initial damping, adapted in later steps.
+        tolerance: accepted relative increase of the loss on held-out windows.
+        acceleration: whether to apply geodesic acceleration, available for measurements.
     """
 
     stepper = SecondOrder()
@@ -58,7 +58,7 @@ class LevenbergMarquardt(Optimizer):
         self.acceleration = acceleration
 
     def check(self, objectives: Iterable[Objective]) -> None:
-        """Raise UserError for acceleration where it would change nothing: no objective knows a bend."""
+        """Raise UserError for acceleration without effect: no objective provides second derivatives."""
         if self.acceleration and not any(getattr(objective, "bends", False) for objective in objectives):
             message = (
                 "optimizer.acceleration: expected stages of measurements (loss.stages), the bend of whose "
@@ -71,19 +71,19 @@ class LevenbergMarquardt(Optimizer):
         """Take one step and return the mean squared residual before it.
 
         Args:
-            closure: returns the problem to step on and the one held back, if any is.
+            closure: returns the problem of the step and the held-out problem, if any.
         """
         with torch.enable_grad():
             problem, held_back = closure()
         group = self.param_groups[0]
         theta = parameters_to_vector(group["params"]).detach()
         loss, degrees, blocks = problem.equations(theta, [p.numel() for p in group["params"]])
-        if not blocks:  # nothing depends on the parameters: another batch may
+        if not blocks:  # no residual depends on the parameters; another batch may differ
             return loss / degrees
         if (units := units_of(group["params"])) is not None:
             blocks = [block._replace(units=units[block.columns]) for block in blocks]
-        group["gradient_norm"] = 2 * gradient_norm(blocks) / degrees  # of the mean square
-        other: Tensor | None = None  # the loss held back, once it is asked for
+        group["gradient_norm"] = 2 * gradient_norm(blocks) / degrees  # mean square
+        other: Tensor | None = None  # held-out loss, computed on demand
         for _ in range(ATTEMPTS):
             straight = damped_step(blocks, group["damping"], theta)
             if straight is None:
@@ -108,7 +108,7 @@ class LevenbergMarquardt(Optimizer):
     def _followed(
         self, problem: LeastSquaresProblem, theta: Tensor, blocks: Sequence[Block], straight: Tensor
     ) -> Tensor | None:
-        """Return the step, accelerated if that is asked for and known; None where it is too long for that."""
+        """Return the step, accelerated if requested and possible; None if it is too long."""
         if not (self.acceleration and isinstance(problem, Bends)):
             return straight
         return accelerated(problem, theta, blocks, straight, self.param_groups[0]["damping"])
@@ -118,9 +118,9 @@ def adapted(damping: float, gain: float, rise: float, accepted: bool) -> float:
     """Return the damping after a step.
 
     Args:
-        damping: of the step.
-        gain: ratio of its actual to its promised decrease.
-        rise: relative change of the loss on the windows held back.
+        damping: damping of the step.
+        gain: ratio of actual to predicted decrease.
+        rise: relative change of the loss on held-out windows.
         accepted: whether the step was taken.
     """
     if not accepted:

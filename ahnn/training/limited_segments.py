@@ -11,7 +11,7 @@ from ahnn.measurements import Segment
 from ahnn.shooting.initial_states import HOPELESS
 
 TIMES_TYPICAL = 5.0
-"""A segment whose chi-square is so many times the median counts with the logarithm of what is beyond."""
+"""Multiple of the median chi-square beyond which the cost of a segment grows logarithmically."""
 
 
 def freedom(batch: Segment) -> Tensor:
@@ -25,7 +25,7 @@ def near(sums: Tensor, degrees: Tensor, hopeless: float = HOPELESS) -> Tensor:
 
 
 class Limit(NamedTuple):
-    """How much single segments may count: where dynamics are still wrong they would outweigh all others.
+    """Cost limit of single segments, which would dominate all others for inaccurate dynamics.
 
     Attributes:
         most: (B,) sum of squares up to which a segment counts as it is; beyond, by its logarithm.
@@ -44,7 +44,7 @@ class Limit(NamedTuple):
         return Limit(self.most[part])
 
     def cost(self, sums: Tensor) -> Tensor:
-        """Return what sums of squares (B,) count."""
+        """Return the limited cost of sums of squares (B,)."""
         return torch.where(sums <= self.most, sums, self.most * (1 + (sums / self.most).log()))
 
     def weight(self, sums: Tensor) -> Tensor:

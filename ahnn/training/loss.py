@@ -1,4 +1,4 @@
-"""The unit in which residuals count, and Huber's loss of them."""
+"""Residual units and Huber loss."""
 
 from __future__ import annotations
 
@@ -13,26 +13,27 @@ from ahnn.arguments import Positive, Within, checked
 from ahnn.statistics import Statistics
 
 FLOOR = 0.03
-"""Local increments below this fraction of the typical one are not weighted up any further."""
+"""Fraction of the typical increment below which local increments receive no further weight."""
 
 
 @checked
 @dataclass(frozen=True)
 class LossOptions:
-    """What training minimises, and when.
+    """Training objective and its schedule.
 
     Attributes:
         scale: unit of residuals, `increment` (rms increment of each component) or `state` (half range of
-            each component, the paper). One-step residuals are tiny beside the state, and their gradients
+            each component, the paper). One-step residuals in units of the state are so small that gradients
             fall below Adam's epsilon; in units of the increment they do not.
-        delta: residual, in those units, at which Huber's loss turns from quadratic to linear.
-        balance: weight of relative errors. 0 measures a residual in the same unit everywhere; 1 in units of
-            the local increment of its block, so that slow parts of a trajectory count as much as fast ones.
-        derivative: fraction of the epochs, from the first, that fits the field to derivatives of the data;
-            the rest fits recursive predictions (the paper). 1 is the loss of Greydanus et al. 2019.
-        order: of the central differences that give those derivatives; even.
-        objective: what follows the derivatives, recursive predictions or one of an installed package.
-        options: of the objective.
+        delta: residual, in these units, at which the Huber loss changes from quadratic to linear.
+        balance: weight of relative errors. 0 for a constant unit; 1 for units of the local increment of the
+            block, so that slow parts of a trajectory have the same weight as fast ones.
+        derivative: initial fraction of the epochs in which the field is fitted to derivatives of the data;
+            the remaining epochs fit recursive predictions (the paper). 1 gives the loss of Greydanus et al.
+            2019.
+        order: even order of the central differences for these derivatives.
+        objective: objective after the derivatives: recursive predictions or one of an installed package.
+        options: options of the objective.
     """
 
     scale: Literal["increment", "state"] = "increment"
@@ -45,10 +46,10 @@ class LossOptions:
 
 
 class Loss(nn.Module):
-    """Mean Huber loss of residuals in units that are fitted to the training split.
+    """Mean Huber loss of residuals in units fitted to the training split.
 
     Args:
-        size: D, components of a state; clock coordinates of extended ones keep the unit 1.
+        size: number D of state components; clock coordinates have unit 1.
         options: scale, delta and balance.
     """
 
@@ -71,10 +72,10 @@ class Loss(nn.Module):
         return F.huber_loss(residuals, torch.zeros_like(residuals), delta=self.options.delta)
 
     def weights(self, targets: Tensor) -> Tensor:
-        """Return the factors that bring residuals into the units of the loss, shape (..., D).
+        """Return the factors that convert residuals to the units of the loss, shape (..., D).
 
         Args:
-            targets: (..., D) increments that the residuals belong to.
+            targets: (..., D) true increments of the residuals.
         """
         if self.options.balance == 0:
             return (1 / self.unit).expand_as(targets)

@@ -1,4 +1,4 @@
-"""The last steps of a training on measurements: all of them at once, with a prior on the parameters."""
+"""Maximum a posteriori steps on all measurements, with a prior on the parameters."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ahnn.training.shooting import ShootingProblem
 
 
 class WideProblem(ShootingProblem):
-    """Segments whose normal equations are in float64: badly known directions keep their digits.
+    """Shooting problem with float64 normal equations, which preserve poorly determined directions.
 
     Unknown biases of the sensor are eliminated from them; `shared` has these once equations are found.
     """
@@ -69,14 +69,14 @@ class WideProblem(ShootingProblem):
         return pull_of(rows * weight, self.batch)
 
     def reduced(self, gradient: Tensor) -> Tensor:
-        """Return what biases leave of a gradient (P,) at the parameters of the dynamics."""
+        """Return the gradient (P,) in the parameters of the dynamics, with biases eliminated."""
         if self.shared is None:
             return gradient
         return self.shared.gradient(gradient, self.pull(self.fitted.rows(self.kept)))
 
     @torch.no_grad()
     def follow(self, theta: Tensor) -> None:
-        """Move the starts to where they fit best after a step to theta, shape (P,)."""
+        """Refit the initial states after a step to theta, shape (P,)."""
         near = self.refitted(theta).starts
         fitted = refine(self.trial(theta), near, self.batch, self.steps, FOLLOWING, SURE)
         self._linear = None
@@ -88,7 +88,7 @@ class WideProblem(ShootingProblem):
 
 
 def whole_problem(dynamics: Dynamics, batch: Segment, robust: Robust) -> WideProblem:
-    """Return all segments as a problem, with steps quartered where whole ones know J too badly."""
+    """Build the problem of all segments, with quartered integrator steps if J is otherwise too inaccurate."""
     problem = WideProblem(dynamics, batch, robust)
     states = problem.fitted.states[problem.kept]
     if not coarse(cast(HasField, dynamics).field, states, problem.steps.lengths):
@@ -97,7 +97,7 @@ def whole_problem(dynamics: Dynamics, batch: Segment, robust: Robust) -> WidePro
 
 
 def after(problem: WideProblem, dynamics: Dynamics) -> WideProblem:
-    """Return the same segments for similar dynamics."""
+    """Build the problem of the same segments for similar dynamics."""
     quartered = problem.steps.quartered
     found = WideProblem(dynamics, problem.batch, problem.robust, starts=problem.starts, quartered=quartered)
     found.shared = problem.shared
@@ -106,13 +106,13 @@ def after(problem: WideProblem, dynamics: Dynamics) -> WideProblem:
 
 @torch.no_grad()
 def of_functions(problem: WideProblem, dynamics: Dynamics, origin: Tensor, weights: Tensor) -> Block:
-    """Return the normal equations in a step of parameters that functions are linear in, P of them.
+    """Return the normal equations in the P parameters in which the functions are linear.
 
     Args:
-        problem: of the functions.
-        dynamics: what they are linearised about.
-        origin: its parameters, shape (P,).
-        weights: those of the functions.
+        problem: problem of the functions.
+        dynamics: dynamics about which they are linearised.
+        origin: parameters of these dynamics, shape (P,).
+        weights: parameters of the functions.
     """
     own, rows = problem.forcing, field_jacobian(cast(HasField, dynamics), problem.precision)
     problem.forcing = lambda _, states: rows(origin, states)
@@ -129,15 +129,15 @@ def with_prior(block: Block, prior: Prior, theta: Tensor) -> Block:
 
 
 class PosteriorPoint(NamedTuple):
-    """Residuals and prior to second order about some parameters.
+    """Quadratic model of residuals and prior about given parameters.
 
     Attributes:
-        theta: (P,).
-        loss, degrees, block: of the residuals, as in `Equations`.
-        prior: the one of the largest evidence where steps of functions begin.
+        theta: (P,) parameters.
+        loss, degrees, block: quantities quantities of the residuals, as in `Equations`.
+        prior: prior of maximum evidence at the beginning of function-space steps.
         factor: L, (P, P); L L^T is the inverse of the matrix of residuals and prior.
         determined: number of parameters that the data determine.
-        pull: (P,) gradient of half the sum in units of what noise leaves open: theta = ... + L u.
+        pull: (P,) gradient of half the sum in posterior standard units: theta = ... + L u.
     """
 
     theta: Tensor
@@ -151,19 +151,19 @@ class PosteriorPoint(NamedTuple):
 
     @classmethod
     def of(cls, theta: Tensor, loss: Tensor, degrees: int, block: Block, prior: Prior) -> PosteriorPoint:
-        """Return the place, its factor and gradient worked out."""
+        """Build the point with its factor and gradient."""
         factor = posterior_factor(block.matrix, prior)
         pull = factor.mT @ (block.gradient + prior.precision * theta)
         return cls(theta, loss, degrees, block, prior, factor, float(determined(factor, prior).sum()), pull)
 
     @property
     def offset(self) -> Tensor:
-        """The step (P,) to the optimum."""
+        """Step (P,) to the optimum."""
         return -self.factor @ self.pull
 
     @property
     def remaining(self) -> float:
-        """Squared length of that step in standard deviations, which is what it promises to gain."""
+        """Squared length of that step in standard deviations, equal to its predicted decrease."""
         return float(self.pull @ self.pull)
 
     @property
@@ -173,15 +173,15 @@ class PosteriorPoint(NamedTuple):
 
     @property
     def objective(self) -> float:
-        """Sum of squared residuals and of what the prior adds."""
+        """Sum of squared residuals and prior contribution."""
         return float(self.loss + self.prior.penalty(self.theta))
 
     def moved(self, theta: Tensor, loss: Tensor, gradient: Tensor) -> PosteriorPoint:
-        """Return another place where the matrix is the same, from J^T r there, shape (P,)."""
+        """Return another point with the same matrix, from its J^T r, shape (P,)."""
         pull = self.factor.mT @ (gradient + self.prior.precision * theta)
         return self._replace(theta=theta, loss=loss, pull=pull, block=self.block._replace(gradient=gradient))
 
     def left(self, promised: float) -> PosteriorPoint:
-        """Return the place with a step to the optimum that promises no more than this."""
+        """Return the point with its remaining step limited to a predicted decrease."""
         part = min(max(promised / self.remaining, 0.0), 1.0) if self.remaining > 0 else 0.0
         return self._replace(pull=part**0.5 * self.pull)

@@ -1,4 +1,4 @@
-"""What noise a fit left: standard deviations, and the coloured part, by restricted maximum likelihood.
+"""Noise of residuals: standard deviations and coloured part, by restricted maximum likelihood.
 
 Residuals r of a segment are noise less what D unknowns of its start have taken of it. With X the derivatives
 of residuals by these and V the covariance of the noise, twice the negative log likelihood of what no start
@@ -24,7 +24,7 @@ from ahnn.measurements.coloured_noise import Colour, Whitening
 TELLING = 12.0
 """Twice the gain in log likelihood from which noise is coloured; chance gains as much in 0.25 % of cases."""
 MEMORIES = (2.0, 10.0)
-"""Where the search for a memory begins, in typical intervals."""
+"""Initial memory of the search, in typical intervals."""
 SHORTEST, LONGEST = 0.3, 3.0
 """Limits of a memory: typical intervals, and the longest segment."""
 STEEP = 12.0

@@ -1,7 +1,8 @@
-"""The normal equations J^T J s = -J^T r of a batch, in blocks of parameters that share no residual.
+"""Normal equations J^T J s = -J^T r of a batch, in blocks of parameters that share no residual.
 
-Blocks come from the zeros of the Jacobian. T(p) + V(q) fitted to derivatives has two of half the size, a
-known kinetic energy leaves half of the rows empty, and no residual depends on the constant of an energy.
+Blocks follow from the zeros of the Jacobian. T(p) + V(q) fitted to derivatives has two blocks of half the
+size, a known kinetic energy makes half of the rows zero, and no residual depends on the constant of an
+energy.
 """
 
 from __future__ import annotations
@@ -17,16 +18,16 @@ from torch import Tensor
 from ahnn.cores import each, slices
 
 PANEL = 160
-"""Columns of a product in J^T J: few enough to waste little above the diagonal, many enough for a BLAS."""
+"""Number of columns in a product for J^T J: few to limit work above the diagonal, many for efficient BLAS."""
 TOGETHER = 8
-"""Parts of a problem whose equations are kept until they are added up."""
+"""Number of parts whose equations are kept before summation."""
 
 
 class Block(NamedTuple):
-    """Normal equations of K parameters.
+    """Normal equations of a block of K parameters.
 
     Attributes:
-        columns: which parameters, shape (K,).
+        columns: indices of the parameters, shape (K,).
         matrix: J^T J, shape (K, K).
         gradient: J^T r, shape (K,).
         units: of the parameters, shape (K,), by which sizes of steps compare; None for ones.
@@ -39,12 +40,12 @@ class Block(NamedTuple):
 
 
 class Equations(NamedTuple):
-    """A least-squares problem to second order.
+    """Quadratic model of a least-squares problem.
 
     Attributes:
-        loss: the sum of squared residuals.
-        degrees: of freedom: residuals, those spent on unknowns of their own taken off.
-        blocks: of the normal equations.
+        loss: sum of squared residuals.
+        degrees: degrees of freedom: number of residuals minus eliminated unknowns.
+        blocks: blocks of the normal equations.
     """
 
     loss: Tensor
@@ -53,10 +54,10 @@ class Equations(NamedTuple):
 
 
 class ResidualRows(NamedTuple):
-    """Some of the residuals of a problem.
+    """Subset of the residuals of a problem.
 
     Attributes:
-        loss: what they contribute to it.
+        loss: contribution to the loss.
         residuals: r, shape (N,).
         jacobian: J, shape (N, P); products are formed in its precision.
     """
@@ -67,28 +68,28 @@ class ResidualRows(NamedTuple):
 
 
 def memory_of(parameters: int, rows: int) -> float:
-    """Return about how many bytes a step takes: J of so many rows, and J^T J while it is factorised.
+    """Estimate the memory of a step in bytes: J, and J^T J during factorisation.
 
-    J is float32, and half of it more while it is made; J^T J, its damped copy and the factor are float64.
+    J is float32, plus half its size during construction; J^T J, its damped copy and the factor are float64.
     """
     return 6.0 * rows * parameters + 24.0 * parameters**2
 
 
 def memory_of_parts(parameters: int) -> float:
-    """Return about how many bytes `accumulated` takes: equations of parts, and their sum, float64."""
+    """Estimate the memory of `accumulated` in bytes: equations of parts and their sum, float64."""
     return 8.0 * (TOGETHER + 1) * parameters**2
 
 
 def accumulated(
     rows: Callable[[slice], ResidualRows], parts: Iterable[slice], theta: Tensor, degrees: int
 ) -> Equations:
-    """Return the equations of all parts, one at least, side by side, in one block.
+    """Sum the equations of one or more parts, computed in parallel, in one block.
 
     Args:
-        rows: part -> its residuals.
-        parts: of the problem.
-        theta: gives the type and device of the equations; the parameters are the columns of the Jacobians.
-        degrees: of freedom.
+        rows: function from a part to its residuals.
+        parts: parts of the problem.
+        theta: parameter vector, which defines dtype, device and columns of the equations.
+        degrees: degrees of freedom.
     """
 
     def summed(part: slice) -> tuple[Tensor, Tensor, Tensor]:
@@ -105,12 +106,12 @@ def accumulated(
 
 
 def normal_equations(jacobian: Tensor, residuals: Tensor, sizes: Sequence[int]) -> list[Block]:
-    """Return the blocks; parameters that no residual depends on are in none.
+    """Form the blocks; parameters without influence on residuals are omitted.
 
     Args:
         jacobian: J, shape (N, P). Products are formed in its precision.
         residuals: r, shape (N,). The blocks are in its precision.
-        sizes: of the tensors that the P parameters consist of; a tensor is never split.
+        sizes: sizes of the tensors that form the P parameters; a tensor is never split.
     """
     used = torch.stack([_used(part) for part in jacobian.split(list(sizes), dim=-1)], dim=-1)
     columns = torch.arange(jacobian.shape[1], device=jacobian.device).split(list(sizes))
@@ -127,19 +128,19 @@ def normal_equations(jacobian: Tensor, residuals: Tensor, sizes: Sequence[int]) 
 
 
 def _used(part: Tensor) -> Tensor:
-    """Return which rows (N,) of some columns (N, K) are not zero; mostly one column tells it of all."""
+    """Return which rows (N,) of columns (N, K) are nonzero; often one column determines all."""
     one = part[:, part.shape[1] // 2 :][:, :1].any(-1)
     return one if bool(one.all()) else part.any(-1)
 
 
 def _columns(jacobian: Tensor, block: Tensor) -> Tensor:
-    """Return some columns, without a copy where they lie side by side."""
+    """Return selected columns, without a copy if they are contiguous."""
     first, last = int(block[0]), int(block[-1])
     return jacobian[:, first : last + 1] if last - first + 1 == len(block) else jacobian[:, block]
 
 
 def independent(used: Tensor) -> Tensor:
-    """Return the sets of columns of `used`, bool (N, G), that share no row, as bool (sets, G).
+    """Partition the columns of `used`, bool (N, G), into sets that share no row, as bool (sets, G).
 
     They are the connected components of the graph in which two columns are neighbours if a row uses both.
     """
@@ -151,7 +152,7 @@ def independent(used: Tensor) -> Tensor:
 
 
 def gram(jacobian: Tensor) -> Tensor:
-    """Return J^T J, shape (P, P): products of its lower triangle, panel by panel, and their mirror images."""
+    """Return J^T J, shape (P, P): lower triangle by panels, mirrored."""
     count = jacobian.shape[1]
     matrix = jacobian.new_empty(count, count)
 
@@ -160,7 +161,7 @@ def gram(jacobian: Tensor) -> Tensor:
         torch.mm(jacobian[:, own].T, jacobian[:, : own.stop], out=panel)
         matrix[: own.start, own] = panel[:, : own.start].T
 
-    each(write, slices(count, PANEL, jacobian.device)[::-1], jacobian.device)  # the largest panels first
+    each(write, slices(count, PANEL, jacobian.device)[::-1], jacobian.device)  # largest panels first
     return matrix
 
 
@@ -181,7 +182,7 @@ def metric(block: Block) -> Tensor:
 def damped_step(blocks: Sequence[Block], damping: float, theta: Tensor) -> Tensor | None:
     """Return the solution s of (J^T J + damping D) s = -J^T r in the parameters theta, both of shape (P,).
 
-    D is the `metric`. None if a block is not definite.
+    D is the `metric`. Returns None if a block is not positive definite.
     """
     step = torch.zeros_like(theta)
     for block in blocks:

@@ -1,6 +1,6 @@
-"""Objectives: what dynamics are compared with, as residuals or as a least-squares problem.
+"""Training objectives, as residuals or as least-squares problems.
 
-An objective is a value that is handed to a trainer: it knows the dynamics and a batch of windows, and nothing
+An objective is a value passed to a trainer: it uses the dynamics and a batch of windows, and is independent
 of optimisers.
 """
 
@@ -30,39 +30,39 @@ from ahnn.training.loss import Loss
 from ahnn.types import Window
 
 PARTS = 5
-"""One part of a batch in so many makes a second-order step, and the rest checks it.
+"""Inverse fraction of a batch used for a second-order step; the rest checks the step.
 
-The check needs no Jacobian and may be large; a small one is noisy and raises the damping.
+The check needs no Jacobian and can be large; a small check is noisy and raises the damping.
 """
 
 
 class Objective(Protocol):
-    """What training minimises."""
+    """Training objective."""
 
     def residuals(self, dynamics: Dynamics, batch: Any) -> Tensor:
         """Return the weighted residuals of a batch, shape (B, ...)."""
         ...
 
     def problem(self, dynamics: Dynamics, batch: Any) -> LeastSquaresProblem:
-        """Return the same residuals as a problem in the parameters of the dynamics."""
+        """Return the residuals as a least-squares problem in the parameters of the dynamics."""
         ...
 
     def divided(self, batch: Any) -> tuple[Any, Any | None]:
-        """Return the part of a batch that makes a second-order step, and the part that checks it, if any."""
+        """Split a batch into the part for a second-order step and the part that checks it, if any."""
         ...
 
     def validation(self, dynamics: Dynamics, batch: Any) -> dict[str, Tensor]:
-        """Return what a validation logs of a batch: scalars, `loss` among them."""
+        """Return the validation metrics of a batch: scalars, including `loss`."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Recursive:
-    """x^_k - x_k with x^_k predicted recursively from x_0 over W steps (the paper's AHNN loss).
+    """Residuals x^_k - x_k of recursive predictions x^_k from x_0 over W steps (the paper's AHNN loss).
 
     Attributes:
-        loss: the units of the residuals.
-        window: W.
+        loss: residual units.
+        window: number W of steps.
     """
 
     loss: Loss
@@ -71,7 +71,8 @@ class Recursive:
     def residuals(self, dynamics: Dynamics, batch: Window) -> Tensor:
         """Return the weighted residuals, shape (B, W, D).
 
-        The residual is carried as a sum of differences of increments, which keeps its digits in float32.
+        The residual is accumulated as a sum of differences of increments, which avoids cancellation in
+        float32.
         """
         batch = batch.first(self.window)
         x = batch.start
@@ -85,13 +86,13 @@ class Recursive:
         return torch.stack(residuals, dim=1) * self.loss.weights(batch.increments)
 
     def problem(self, dynamics: Dynamics, batch: Window) -> LeastSquares:
-        """Return the same residuals as a problem in the parameters of the dynamics."""
+        """Return the residuals as a least-squares problem in the parameters of the dynamics."""
         batch = batch.first(self.window)
         weights = self.loss.weights(batch.increments)
         return recursive_problem(dynamics, dynamics.increment, batch, weights, dynamics.clock)
 
     def divided(self, batch: Window) -> tuple[Window, Window]:
-        """Return a fifth of a W-th of the windows, so that residuals are as many as those of single steps."""
+        """Split off 1/(5 W) of the windows, so that the number of residuals equals that for single steps."""
         return divided(batch, PARTS * self.window)
 
     def validation(self, dynamics: Dynamics, batch: Window) -> dict[str, Tensor]:
@@ -102,11 +103,11 @@ class Recursive:
 
 @dataclass(frozen=True, eq=False)
 class Derivative:
-    """The field itself, compared with derivatives of the data: no solver in the loop (Greydanus et al. 2019).
+    """Comparison of the field with derivatives of the data, without a solver (Greydanus et al. 2019).
 
     Attributes:
-        loss: the units of the residuals, which are multiplied by dt to be increments.
-        order: of the central differences.
+        loss: residual units; residuals are multiplied by dt to become increments.
+        order: order of the central differences.
     """
 
     loss: Loss
@@ -118,7 +119,7 @@ class Derivative:
         return (batch.dt * cast(HasField, dynamics).field(middle) - target) * self.loss.weights(target)
 
     def problem(self, dynamics: Dynamics, batch: Window) -> LeastSquares:
-        """Return the same residuals as a problem in the parameters of the dynamics."""
+        """Return the residuals as a least-squares problem in the parameters of the dynamics."""
         middle, target = derivative_samples(batch.first(self.order))
         field, rows = cast(HasField, dynamics).field, field_jacobian(cast(HasField, dynamics))
         return pointwise_problem(
@@ -131,7 +132,7 @@ class Derivative:
         )
 
     def divided(self, batch: Window) -> tuple[Window, Window]:
-        """Return a fifth of the windows, and the rest."""
+        """Split off a fifth of the windows for the step; the rest checks it."""
         return divided(batch, PARTS)
 
     def validation(self, dynamics: Dynamics, batch: Window) -> dict[str, Tensor]:
@@ -140,32 +141,31 @@ class Derivative:
 
 
 def _below_zeros(rows: Tensor, size: int) -> Tensor:
-    """Return rows (B, L, P) below those of the first components, which no parameter moves: (B, size, P)."""
+    """Prepend zero rows for parameter-independent components to rows (B, L, P): (B, size, P)."""
     missing = size - rows.shape[1]
-    return nn.functional.pad(rows, (0, 0, missing, 0)) if missing else rows  # padding with nothing copies
+    return nn.functional.pad(rows, (0, 0, missing, 0)) if missing else rows  # padding by zero avoids a copy
 
 
 OBJECTIVES: Table[Callable[..., Objective]] = Table("ahnn.objectives", {"recursive": Recursive})
-"""What `loss.objective` names: called with the loss, the window W and `loss.options`."""
+"""Objectives by their `loss.objective` name: called with the loss, the window W and `loss.options`."""
 
 
 def divided(batch: Window, parts: int) -> tuple[Window, Window]:
-    """Return the first of so many parts of a batch, at least one window, and the rest."""
+    """Split off a fraction of a batch, at least one window, and return it with the rest."""
     split = max(1, len(batch.start) // parts)
     return batch.rows(slice(None, split)), batch.rows(slice(split, None))
 
 
 def derivative_samples(window: Window) -> tuple[Tensor, Tensor]:
-    """Return the sample in the middle of each window of W = 2m steps, and dt times its derivative, (B, D).
+    """Return the middle sample of each window of W = 2m steps, and dt times its derivative, (B, D).
 
-    The derivative is the central difference of order W. A field that is fitted to it is the field itself,
-    free of an integrator's error.
+    The derivative is the central difference of order W. A field fitted to it has no integrator error.
 
     Args:
-        window: start (B, D) and true increments (B, W, D), W even, all steps alike.
+        window: start (B, D) and true increments (B, W, D), W even, equal steps.
 
     Raises:
-        UserError: steps that differ.
+        UserError: unequal steps.
     """
     if isinstance(window.dt, Tensor):
         message = (
@@ -183,8 +183,8 @@ def difference_weights(steps: int) -> Tensor:
     """Return the weights of W = 2m increments in dt dx/dt at the middle sample, shape (W,), float64.
 
     The central difference of order 2m is sum_j w_j (x_{m+j} - x_{m-j}) / dt with
-    w_j = (-1)^(j+1) m!^2 / (j (m-j)! (m+j)!) (Fornberg 1988, Math. Comp. 51, 699-706); an increment takes
-    part in every difference that spans it.
+    w_j = (-1)^(j+1) m!^2 / (j (m-j)! (m+j)!) (Fornberg 1988, Math. Comp. 51, 699-706); an increment
+    contributes to every difference that spans it.
     """
     m = steps // 2
     divisors = [j * factorial(m - j) * factorial(m + j) for j in range(1, m + 1)]

@@ -1,4 +1,4 @@
-"""Whether a checkpoint can be gone on from, found out on copies before the training itself is touched."""
+"""Check that a training can resume from a checkpoint, made on copies before the training is modified."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from ahnn.training.steppers import stepper_of
 STATES = "optimizer_states"
 NEEDED = {"state_dict": dict, STATES: list, "lr_schedulers": list, "loops": dict, "callbacks": dict}
 NEEDED |= {"epoch": int, "global_step": int}
-"""What Lightning takes from a checkpoint without asking whether it is there."""
+"""Parts of a checkpoint that Lightning reads without a check."""
 
 
 def require_resumable(path: Path, model: Any, trainer: Any) -> None:
-    """Refuse to resume from a checkpoint that is missing, damaged, or of another training.
+    """Check that a checkpoint is present, intact, and of the same training.
 
     Args:
-        path: of the checkpoint.
-        model: what is going to be trained.
-        trainer: what is going to train it, with its callbacks.
+        path: path of the checkpoint.
+        model: model to be trained.
+        trainer: trainer with its callbacks.
 
     Raises:
-        UserError: names what differs.
+        UserError: it is not; the message names the difference.
     """
     content = read_checkpoint(path)
     parts = ("data", "settings")
@@ -40,18 +40,18 @@ def require_resumable(path: Path, model: Any, trainer: Any) -> None:
 
 
 def require_restorable(who: str, model: Any, trainer: Any, content: dict[str, Any]) -> None:
-    """Restore a checkpoint into copies and take a step; tensors are compared before any of them is loaded.
+    """Restore a checkpoint into copies and take a step, after comparing all tensors.
 
-    Fused kernels do not look at shapes: a wrong one overwrites foreign memory.
+    Fused kernels do not check shapes: a wrong shape overwrites other memory.
 
     Args:
         who: name of the checkpoint, for messages.
-        model: what is going to be trained; it stays as it is.
-        trainer: what is going to train it; its callbacks and loops take their states.
-        content: of the checkpoint, as Lightning wrote it.
+        model: model to be trained; it is not modified.
+        trainer: trainer; its callbacks and loops load their states.
+        content: content of the checkpoint, as written by Lightning.
 
     Raises:
-        UserError: a tensor is of another name, shape or type, or a part is missing.
+        UserError: a tensor has a different name, shape or type, or a part is missing.
     """
     if missing := [key for key, kind in NEEDED.items() if not isinstance(content.get(key), kind)]:
         message = f"{who}: expected one to resume from; received one without {', '.join(missing)}"
@@ -61,7 +61,7 @@ def require_restorable(who: str, model: Any, trainer: Any, content: dict[str, An
         _step(stepped[0])
         known = layout(dict(model.state_dict())) | layout([stepped[0].state_dict()], STATES)
         found = layout(content["state_dict"]) | layout(content[STATES], STATES)
-        owners = {name.rpartition(".")[0] for name in found}  # a parameter without gradients has no state
+        owners = {name.rpartition(".")[0] for name in found}  # parameters without gradients have no state
         needed = {n for n in known if not n.startswith(STATES) or n.rpartition(".")[0] in owners}
         wrong = sorted(name for name in needed | found.keys() if known.get(name) != found.get(name))
         if wrong:
@@ -92,7 +92,7 @@ def layout(value: Any, name: str = "") -> dict[str, tuple[torch.Size, torch.dtyp
 
 
 def _optimisation(model: Any) -> list[Any]:
-    """Return a new optimiser of a copy of the model, and its scheduler if it has one."""
+    """Build an optimiser of a copy of the model, and its scheduler, if any."""
     configured = copy.deepcopy(model).configure_optimizers()
     if not isinstance(configured, dict):
         return [configured]
@@ -100,7 +100,7 @@ def _optimisation(model: Any) -> list[Any]:
 
 
 def _step(optimizer: Optimizer) -> None:
-    """Take a step without a gradient, where gradients are what it takes."""
+    """Take a step with zero gradients, for gradient-based optimisers."""
     if stepper_of(optimizer).automatic:
         for group in optimizer.param_groups:
             for parameter in group["params"]:

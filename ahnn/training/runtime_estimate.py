@@ -1,4 +1,4 @@
-"""How long a training takes on this machine, measured on a few of its own steps before it begins."""
+"""Runtime estimate of a training, measured on a few of its own steps in advance."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from ahnn.training.objectives import Objective
 from ahnn.training.shooting import Shooting
 
 TRIALS = 3
-"""Steps that are timed, at most."""
+"""Maximum number of timed steps."""
 ENOUGH = 0.25
-"""Seconds of steps that are typical enough: of those that take longer one is timed."""
+"""Seconds of steps that suffice for timing: of longer steps only one is timed."""
 REFITTED = 0.5
-"""Of its time, what a step takes that begins with starts that were fitted before."""
+"""Relative cost of a step that starts from previously fitted initial states."""
 STRETCHES, STRETCH = 300, 64
-"""How many stretches last steps are timed on, at most, and their measurement intervals."""
+"""Maximum number of segments on which final steps are timed, and of their measurement intervals."""
 
 
 def expected_seconds(
     trainer: Any, data: WindowDataModule, model: Any, per_epoch: int, epochs: range
 ) -> float:
-    """Return about how long the rest of a training takes: steps, validations and callbacks.
+    """Estimate the remaining time of a training in seconds: steps, validations and callbacks.
 
     Args:
-        trainer: with all its callbacks; those with a method `seconds` say themselves what an epoch costs.
-        data: of the training.
-        model: calibrated; it stays as it is.
-        per_epoch: optimiser steps of an epoch.
-        epochs: that are left, counted from 0.
+        trainer: trainer with all callbacks; a callback's method `seconds` returns its cost per epoch.
+        data: training data.
+        model: calibrated model, which is not modified.
+        per_epoch: optimiser steps per epoch.
+        epochs: remaining epochs, counted from 0.
     """
     timed = [callback for callback in trainer.callbacks if hasattr(callback, "seconds")]
     total = sum(c.seconds(epoch, trainer, model, data) for epoch in epochs for c in timed)
@@ -55,22 +55,22 @@ def expected_seconds(
 
 
 def _on_measurements(model: Any, data: WindowDataModule, per_epoch: int, epochs: range) -> float:
-    """Return the time of steps, validations and last steps, in proportion to the measurements in them.
+    """Return the time of steps, validations and final steps, in proportion to their measurements.
 
-    Over long stretches the paths of untrained dynamics are given up early: the first stage is timed.
+    The first stage is timed, since over long segments paths of untrained dynamics are abandoned early.
     """
     objective, closing = model.curriculum.at(0, epochs.stop), model.curriculum.closing
     each = step_seconds(model, data, objective) / next(iter(data.train_dataloader())).times.numel()
-    last = each * (1 + REFITTED * (closing + 1))  # one more is taken by functions
-    if not isinstance(objective, Shooting):  # trained in the weak form, dynamics fit starts soon
+    last = each * (1 + REFITTED * (closing + 1))  # one more step in function space
+    if not isinstance(objective, Shooting):  # after the weak form, initial states are fitted quickly
         last = _shooting_seconds(model, data) * REFITTED * (closing + 2)
     return last * data.measured("train").times.numel() + each * sum(amounts(data, per_epoch, epochs))
 
 
 def _shooting_seconds(model: Any, data: WindowDataModule) -> float:
-    """Return the time of fits and equations of shooting for each measured time.
+    """Return the time of shooting fits and equations per measurement time.
 
-    They are timed on the beginnings of trajectories: untrained dynamics do not follow them far.
+    Timed on the beginnings of trajectories, since untrained dynamics diverge soon.
     """
     dynamics = copy.deepcopy(model.dynamics).double()
     whole = Segments(data.measured("train"), None, data.instrument)
@@ -84,7 +84,7 @@ def _shooting_seconds(model: Any, data: WindowDataModule) -> float:
 
 
 def amounts(data: WindowDataModule, per_epoch: int, epochs: range) -> list[int]:
-    """Return how much each epoch works through, its validation too: measured times, or 1 without stages."""
+    """Return the work per epoch, validation included: number of measurement times, or 1 without stages."""
     if getattr(data, "stages", None) is None:
         return [1] * len(epochs)
     loader, found = data.train_dataloader(), []
@@ -104,7 +104,7 @@ def _validation_seconds(model: Any, data: WindowDataModule) -> float:
 
 
 def step_seconds(model: Any, data: WindowDataModule, objective: Objective) -> float:
-    """Return the median time of an optimiser step on fresh batches, taken by a copy of the dynamics."""
+    """Return the median time of an optimiser step on fresh batches, with a copy of the dynamics."""
     dynamics = copy.deepcopy(model.dynamics)
     optimizer = model.optimisation.optimizer(dynamics.parameters())
     stepper = model.stepper_for(optimizer)
@@ -122,7 +122,7 @@ def step_seconds(model: Any, data: WindowDataModule, objective: Objective) -> fl
 
 
 def _median(work: Callable[[], Any], repeats: int = 1) -> float:
-    """Return the median time of some work, a first call apart."""
+    """Return the median time of a function after a warm-up call."""
     times = []
     while len(times) < 2 or (len(times) <= repeats and sum(times[1:]) < ENOUGH):
         begin = time.perf_counter()

@@ -1,9 +1,10 @@
 """Constant errors of a sensor, the same in all segments, eliminated from normal equations as starts are.
 
-With K biases b beside the parameters, normal equations have the blocks (A, C; C^T, B) and gradients (g, h).
-A normal prior adds its precision to B, S = B + diag(1 / sd^2), and its pull to h. The best b for some
-parameters is b - S^-1 h, what is left for the parameters alone has the matrix A - C S^-1 C^T, the gradient
-g - C S^-1 h, and a sum of squares that is less by h^T S^-1 h (Tapley, Schutz & Born 2004, section 6.4). What
+With K biases b in addition to the parameters, normal equations have the blocks (A, C; C^T, B) and gradients
+(g, h). A normal prior adds its precision to B, S = B + diag(1 / sd^2), and its pull to h. The best b for some
+parameters is b - S^-1 h, the reduced equations of the parameters have the matrix A - C S^-1 C^T, the gradient
+g
+- C S^-1 h, and a sum of squares that is less by h^T S^-1 h (Tapley, Schutz & Born 2004, section 6.4). What
 measurements do not say of a bias leaves parameters as uncertain as its prior leaves it.
 """
 
@@ -23,7 +24,7 @@ class SharedBias(NamedTuple):
 
     Attributes:
         places: which of the M numbers have one, (K,).
-        value: b, (K,), in the units of what is measured.
+        value: b, (K,), in the units of the measurements.
         precision: of the prior, (K,), about zero.
         matrix: S, (K, K).
         coupling: C, (P, K), of P parameters.

@@ -1,8 +1,8 @@
-"""Multiple shooting: dynamics learned from segments of measurements whose starts are unknown.
+"""Multiple shooting: learning of dynamics from segments of measurements with unknown initial states.
 
-The starts are eliminated: each residual is that of the best start for the current parameters (variable
-projection, Golub & Pereyra 1973; its Jacobian as in Kaufman 1975). What is left is a least-squares problem in
-the parameters alone, for which a measurement of any kind serves: a state, a position, a range.
+The initial states are eliminated: residuals are evaluated at the best initial state for the current
+parameters (variable projection, Golub & Pereyra 1973; Jacobian as in Kaufman 1975). The result is a
+least-squares problem in the parameters alone, for any kind of measurement: a state, a position, a range.
 """
 
 from __future__ import annotations
@@ -45,33 +45,33 @@ from ahnn.training.limited_segments import Limit, freedom, near
 from ahnn.training.normal_equations import Equations, ResidualRows, accumulated
 
 CELLS = 2.5e7
-"""Numbers in the largest tensor of sensitivities; longer batches are cut into parts of segments."""
+"""Size limit of the largest sensitivity tensor; longer batches are divided into parts of segments."""
 NUMBERS = 50
-"""Held for each component of a state while its pull on the field is followed back."""
+"""Numbers stored per state component during the backward pass of its effect on the field."""
 UNMET = 1e4
-"""Mean squared residual of a whole trajectory that a validation gives up, since telling more takes long."""
+"""Mean squared residual at which a validation abandons a trajectory, to save time."""
 PATHS = 20
-"""Paths of a problem, about, over which the flow is recorded where that pays."""
+"""Approximate number of paths of a problem, for deciding whether to record the flow."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shooting:
-    """Predicted - measured over K intervals from the start that fits best, in standard deviations.
+    """Residuals predicted - measured over K intervals from the best initial state, in standard deviations.
 
     Attributes:
-        intervals: K; None takes whole trajectories.
-        robust: the loss of single residuals: none (squares), huber or student.
+        intervals: number K of intervals; None for whole trajectories.
+        robust: robust loss of single residuals: none (squares), huber or student.
     """
 
     intervals: int | None
     robust: RobustName = "none"
-    bends: ClassVar[bool] = True  # its problems know the second derivative of their residuals
+    bends: ClassVar[bool] = True  # its problems provide second derivatives of residuals
 
     def residuals(self, dynamics: Dynamics, batch: Segment) -> Tensor:
         """Return the weighted residuals of the segments that converged, shape (B, K + 1, M), with a graph.
 
-        The starts are held where they fit best: to first order the loss does not depend on them, and its
-        gradient is the one along the best starts (the envelope theorem).
+        The initial states are fixed at their best fit: to first order the loss does not depend on them, so
+        its gradient is the same as along the best initial states (envelope theorem).
         """
         problem = self.problem(dynamics, batch)
         states = path(dynamics.increment, problem.starts, problem.steps.lengths)[:, problem.steps.ends]
@@ -82,40 +82,40 @@ class Shooting:
         return residuals * weight.sqrt()
 
     def problem(self, dynamics: Dynamics, batch: Segment) -> ShootingProblem:
-        """Return the same residuals as a problem in the parameters of the dynamics."""
+        """Return the residuals as a least-squares problem in the parameters of the dynamics."""
         return ShootingProblem(dynamics, batch, ROBUST[self.robust])
 
     def divided(self, batch: Segment) -> tuple[Segment, None]:
-        """Return the whole batch to step on: starts are fitted anew, nothing needs to be held back."""
+        """Return the whole batch for the step: initial states are refitted, and no check is needed."""
         return batch, None
 
     def validation(self, dynamics: Dynamics, batch: Segment) -> dict[str, Tensor]:
-        """Return chi-square per degree of freedom, a lost segment as `UNMET`, and the share of these."""
+        """Return chi-square per degree of freedom, `UNMET` for lost segments, and the fraction of these."""
         problem, degrees = ShootingProblem(dynamics, batch, ROBUST[self.robust], UNMET), freedom(batch)
         sums = torch.minimum(problem.fitted.sums, UNMET * degrees)
         return {"loss": sums.sum() / degrees.sum(), "lost": sums.new_tensor(problem.lost / len(sums))}
 
 
 class ShootingProblem:
-    """Segments of measurements as a problem in the parameters theta, shape (P,), of dynamics.
+    """Least-squares problem of measurement segments in the parameters theta, shape (P,), of dynamics.
 
     Args:
-        dynamics: with a field; their present parameters are where the starts are fitted first.
-        batch: the segments.
-        robust: the loss of single residuals.
-        hopeless: mean squared residual of a segment that is given up.
-        starts: (B, D) that nearly fit, of similar dynamics; None finds them from the measurements.
-        quartered: whether steps of the integrator are quarters of those between measurements.
+        dynamics: dynamics with a field; initial states are first fitted at their current parameters.
+        batch: measurement segments.
+        robust: robust loss of single residuals.
+        hopeless: mean squared residual at which a segment is abandoned.
+        starts: (B, D) approximate initial states; None derives them from measurements.
+        quartered: whether to quarter the integrator steps between measurements.
 
     Attributes:
-        fitted: all segments from the starts that fit them best.
-        kept: which of them converged, (B,) bool.
-        batch, starts: the segments that converged, and their first states (B, D).
-        limit: how much a single segment may count.
-        steps: of the integrator between measurements.
-        lost: how many segments did not converge.
-        count: degrees of freedom, parameters not taken off.
-        precision: of the products in the normal equations.
+        fitted: all segments at their best initial states.
+        kept: mask of converged segments, (B,) bool.
+        batch, starts: converged segments, and their initial states (B, D).
+        limit: cost limits of single segments.
+        steps: integrator steps between measurements.
+        lost: number of segments that did not converge.
+        count: degrees of freedom, without subtraction of parameters.
+        precision: dtype dtype of the products in the normal equations.
 
     Raises:
         UserError: dynamics without a field.
@@ -152,12 +152,12 @@ class ShootingProblem:
         self.steps, self.batch, self.starts = steps.rows(kept), batch.rows(kept), self.fitted.starts[kept]
         self.limit = Limit.of(self.fitted.sums[kept], freedom(self.batch))
         self.lost, self.count = int((~kept).sum()), int(freedom(self.batch).sum())
-        self._refitted: tuple[Tensor, Fitted] | None = None  # of the last parameters, which are asked again
+        self._refitted: tuple[Tensor, Fitted] | None = None  # cache for the last parameters
         self._linear: tuple[Tensor, Fitted, Linearised] | None = None
 
     @property
     def cost(self) -> Tensor:
-        """The sum of squared residuals at the parameters of the dynamics, each segment limited."""
+        """Sum of squared residuals at the current parameters, with each segment limited."""
         return self.limit.cost(self.fitted.sums[self.kept]).sum()
 
     def trial(self, theta: Tensor) -> Trial:
@@ -165,27 +165,27 @@ class ShootingProblem:
         return Trial(partial(self._exact, theta), partial(self._jacobians, theta), self.robust)
 
     def _parts(self, parameters: int) -> Iterator[slice]:
-        """Yield the segments in parts whose sensitivities fit into memory."""
+        """Yield parts of the segments whose sensitivities fit into memory."""
         cells = (self.steps.lengths.shape[1] + 1) * self.starts.shape[-1] * parameters
         rows = max(1, int(CELLS // cells))
         return (slice(k, k + rows) for k in range(0, len(self.starts), rows))
 
     @torch.no_grad()
     def loss(self, theta: Tensor) -> Tensor:
-        """Return the sum of squared residuals, each segment from the start that fits it best, limited."""
+        """Return the sum of squared residuals, each segment at its best initial state and limited."""
         if not len(self.starts):
             return theta.new_full((), torch.inf)
         return self.limit.cost(self.refitted(theta).sums).sum()
 
     def refitted(self, theta: Tensor) -> Fitted:
-        """Return all segments from the starts that fit them best once the parameters moved to theta, (P,)."""
+        """Refit the initial states of all segments for parameters theta, (P,)."""
         if self._refitted is None or self._refitted[0] is not theta:
             self._refitted = theta, refit(self.trial(theta), self.starts, self.batch, self.steps)
         return self._refitted[1]
 
     @torch.no_grad()
     def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
-        """Return loss and normal equations, starts eliminated; no equations if no segment converged."""
+        """Return loss and normal equations, initial states eliminated; none if no segment converged."""
         del sizes
         if not len(self.starts):
             return Equations(theta.new_tensor(HOPELESS), 1, [])
@@ -197,7 +197,7 @@ class ShootingProblem:
         return accumulated(projected, self._parts(len(theta)), theta, self.count)
 
     def _linearised(self, theta: Tensor) -> tuple[Fitted, Linearised]:
-        """Return all paths and their derivatives; at once, since what it takes is mostly steps."""
+        """Return all paths and their derivatives, in one batch, since the cost is dominated by steps."""
         if self._linear is None or self._linear[0] is not theta:
             trial = self.trial(theta)
             here = followed(trial, self.starts, self.batch, self.steps)
@@ -205,9 +205,9 @@ class ShootingProblem:
         return self._linear[1:]
 
     def _projected(self, theta: Tensor, here: Fitted, now: Linearised, part: slice) -> ResidualRows:
-        """Return residuals of some segments and their Jacobian in the complement of the starts.
+        """Return residuals of segments and their Jacobian, projected on the complement of initial states.
 
-        Nearly all that parameters do to a path a start undoes: float32 would round away the rest.
+        Initial states compensate most of the effect of parameters on a path: float32 would lose the rest.
         """
         ends, whitening = self.steps.ends, self.batch.rows(part).whitening
         if whitening is None and self.batch.instrument.bias_sd is None:
@@ -225,19 +225,19 @@ class ShootingProblem:
         return ResidualRows(limit.cost(here.sums).sum(), (rows * weight[:, None]).flatten(), jacobian)
 
     def with_more(self, of_theta: Tensor, here: Fitted, part: slice) -> Tensor:
-        """Return derivatives of residuals (B, K + 1, M, P) with columns of unknowns beside the parameters."""
+        """Return derivatives of residuals (B, K + 1, M, P) with columns of further unknowns."""
         del here, part
         return of_theta
 
     @torch.no_grad()
     def gradient(self, theta: Tensor) -> Tensor:
-        """Return J^T r, shape (P,), by reverse mode in float64: no rounding of J, no normal points."""
+        """Return J^T r, shape (P,), by reverse mode in float64, without rounding of J or normal points."""
         here, now = self._linearised(theta)
         return self._pulled_back(theta, here, now, now.residuals.flatten(1))
 
     @torch.no_grad()
     def bend(self, theta: Tensor, step: Tensor, reach: float) -> Tensor:
-        """Return J^T r_vv, as in `ahnn.training.acceleration.Bends`; the starts move along with the step."""
+        """Return J^T r_vv, as in `ahnn.training.acceleration.Bends`; initial states follow the step."""
         steps, segment, starts = self.steps, self.batch, self.starts
         here, now = self._linearised(theta)
         weight = self.robust.weight(segment.white_residuals(here.states[:, steps.ends])).sqrt()
@@ -252,11 +252,11 @@ class ShootingProblem:
         moves = -torch.linalg.solve_triangular(triangle, basis.mT @ slope.unsqueeze(-1), upper=True)
         moves = reach * moves.squeeze(-1)
         second = rows(reach, starts + moves) - 2 * now.residuals.flatten(1) + rows(-reach, starts - moves)
-        finite = second.isfinite().all(1, keepdim=True)  # a start that moves without end says nothing
+        finite = second.isfinite().all(1, keepdim=True)  # a diverging initial state carries no information
         return self._pulled_back(theta, here, now, (second / reach**2).where(finite, 0.0))
 
     def _pulled_back(self, theta: Tensor, here: Fitted, now: Linearised, rows: Tensor) -> Tensor:
-        """Return J^T of rows (B, R), shape (P,), by reverse mode along all paths; starts eliminated."""
+        """Return J^T of rows (B, R), shape (P,), by reverse mode along paths, initial states eliminated."""
         basis = torch.linalg.qr(now.of_start.flatten(1, 2)).Q
         rows = rows - (basis @ (basis.mT @ rows.unsqueeze(-1))).squeeze(-1)
         rows = rows * self.limit.weight(here.sums)[:, None]

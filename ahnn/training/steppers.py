@@ -1,6 +1,6 @@
-"""Steppers: how an optimiser is asked for a step, by a gradient or by a least-squares problem.
+"""Steppers: optimiser steps from a gradient or from a least-squares problem.
 
-An optimiser names its stepper in the class attribute `stepper`; one without takes gradients.
+An optimiser names its stepper in the class attribute `stepper`; the default uses gradients.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from ahnn.training.objectives import Objective
 
 
 class Stepper(Protocol):
-    """How one optimiser step is taken.
+    """Protocol of an optimiser step.
 
     Attributes:
-        automatic: whether the trainer takes the step by the gradient of what `step` returns.
+        automatic: whether the trainer takes the step from the gradient of the result of `step`.
     """
 
     automatic: bool
 
     def check(self, trainer: Any, dynamics: Dynamics) -> None:
-        """Raise UserError for settings of a training that cannot work with this stepper."""
+        """Raise UserError for training settings incompatible with this stepper."""
         ...
 
     def step(
@@ -39,12 +39,12 @@ class Stepper(Protocol):
 
 
 class FirstOrder:
-    """The loss of the batch, whose gradient somebody else steps on."""
+    """Gradient step: returns the loss of the batch, and the trainer takes the step."""
 
     automatic = True
 
     def check(self, trainer: Any, dynamics: Dynamics) -> None:
-        """Anything can be trained by gradients."""
+        """Accept all settings: gradients support any training."""
 
     def step(
         self, objective: Objective, loss: nn.Module, dynamics: Dynamics, batch: Any, optimizer: Any
@@ -57,15 +57,15 @@ class FirstOrder:
 
 
 class SecondOrder:
-    """A step on part of the batch as a least-squares problem, checked on the rest."""
+    """Second-order step on part of the batch as a least-squares problem, checked on the rest."""
 
     automatic = False
 
     def check(self, trainer: Any, dynamics: Dynamics) -> None:
-        """Refuse what only gradients can do, and what leaves least squares without their digits.
+        """Reject settings that require gradients, or a precision too low for least squares.
 
         Raises:
-            UserError: names the setting and its remedy.
+            UserError: such a setting; the message names it and a remedy.
         """
         wide = next(dynamics.parameters()).dtype == torch.float64
         explicit = not isinstance(getattr(dynamics, "integrator", None), GaussLegendre4)
@@ -88,18 +88,18 @@ class SecondOrder:
         self, objective: Objective, loss: nn.Module, dynamics: Dynamics, batch: Any, optimizer: Any
     ) -> Tensor:
         """Take the step and return the mean squared residual before it."""
-        del loss  # a sum of squares, without Huber's tails
+        del loss  # sum of squares, without Huber's linear tails
         return optimizer.step(lambda: problems(objective, dynamics, batch))
 
 
 def problems(
     objective: Objective, dynamics: Dynamics, batch: Any
 ) -> tuple[LeastSquaresProblem, LeastSquaresProblem | None]:
-    """Return the problem to step on, and the one that checks the step, if part of the batch is held back."""
+    """Return the problem of the step, and the one that checks it, if part of the batch is held out."""
     step, check = objective.divided(batch)
     return objective.problem(dynamics, step), None if check is None else objective.problem(dynamics, check)
 
 
 def stepper_of(optimizer: Optimizer) -> Stepper:
-    """Return the stepper that an optimiser asks for."""
+    """Return the stepper of an optimiser."""
     return getattr(optimizer, "stepper", None) or FirstOrder()

@@ -1,4 +1,4 @@
-"""The loss of a batch and its gradient as one graph of single operations, the reverse included."""
+"""Tracing of the loss of a batch and its gradient as one graph, backward pass included."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ class Compared(nn.Module):
 
 
 class Traced(NamedTuple):
-    """The loss of a batch and its gradients as a graph of single operations.
+    """The loss of a batch and its gradients as a traced graph.
 
     Attributes:
-        graph: of the arguments in `Program.call`.
+        graph: graph with the arguments of `Program.call`.
         touched: parameters that the loss depends on.
-        arguments: an example.
+        arguments: example arguments.
     """
 
     graph: torch.fx.GraphModule
@@ -39,11 +39,11 @@ class Traced(NamedTuple):
 
 
 def traced(compared: nn.Module, batch: Window) -> Traced:
-    """Return the graph of a loss and its gradients.
+    """Trace a loss and its gradients.
 
     Args:
-        compared: batch -> loss; its parameters and buffers are arguments of the graph.
-        batch: an example; the graph takes batches of its shape and of the same number dt.
+        compared: module from a batch to its loss; its parameters and buffers become arguments of the graph.
+        batch: example batch; the graph accepts batches of its shape and with the same number dt.
     """
     from torch.fx.experimental.proxy_tensor import make_fx
 

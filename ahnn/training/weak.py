@@ -1,12 +1,13 @@
-"""The weak form: a field held against noisy states by integrals, without differences and without a solver.
+"""Weak form: comparison of a field with noisy states by integrals, without differences or solver.
 
-For a function phi that vanishes at both ends of a span, the integral of phi dx/dt is that of -phi' x. So
+For a test function phi that vanishes at both ends of a span, the integral of phi dx/dt equals that of -phi'
+x. Hence
 
     r = integral of (phi f(x) + phi' x) dt
 
 is zero for the true field f, and its noise is that of a weighted sum of samples (Messenger & Bortz 2021,
-Multiscale Model. Simul. 19, 1474-1497). It is linear in the field. Measured positions q obey an equation of
-second order, and -phi'' q takes the place of phi' x.
+Multiscale Model. Simul. 19, 1474-1497). The residual is linear in the field. Measured positions q obey a
+second-order equation, with -phi'' q in place of phi' x.
 """
 
 from __future__ import annotations
@@ -36,12 +37,14 @@ from ahnn.training.weak_test_functions import bumps, integrated
 
 Function = Callable[[Tensor], Tensor]
 WIDTHS = {1: 3, 2: 2}
-"""In half a span, by the order of the equation, of widths over which the motion is a cubic: a bump is small
-but in its middle third. Where samples are missing it is one, since each ends all spans that it is in."""
+"""Half-width of a span in lengths over which the motion is cubic, by the equation's order: a bump is small
+outside its middle third. With missing samples it is one length, since each gap ends all spans that contain
+it.
+"""
 CELLS = 1.4e7
-"""Numbers in the largest tensor of sensitivities; longer batches are cut into parts of segments."""
+"""Size limit of the largest sensitivity tensor; longer batches are divided into parts of segments."""
 SEGMENTS = 16
-"""Segments whose covariances are factored at once."""
+"""Number of segments whose covariances are factored at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,15 +52,16 @@ class Weak:
     """Integrals of the field against test functions, in standard deviations of their noise.
 
     Attributes:
-        robust: the loss of single residuals: none (squares), huber or student.
-        relative: count what the field still misses of itself as noise, too. So begins what is far from the
-            truth; where all residuals are nearly noise, sums of many of them say more without it.
+        robust: robust loss of single residuals: none (squares), huber or student.
+        relative: whether to add the model discrepancy of the field to the noise. Used at the start, far from
+            the truth; once residuals are nearly noise, sums of many residuals are more informative without
+            it.
     """
 
     robust: RobustName = "none"
     relative: bool = False
     intervals: ClassVar[None] = None  # whole trajectories
-    bends: ClassVar[bool] = True  # its problems know the second derivative of their residuals
+    bends: ClassVar[bool] = True  # its problems provide second derivatives of residuals
 
     def residuals(self, dynamics: Dynamics, batch: Segment) -> Tensor:
         """Return the weighted residuals, shape (B, J, D), with a graph."""
@@ -66,11 +70,11 @@ class Weak:
         return residuals * problem.robust.weight(residuals.detach()).sqrt()
 
     def problem(self, dynamics: Dynamics, batch: Segment) -> WeakProblem:
-        """Return the same residuals as a problem in the parameters of the dynamics."""
+        """Return the residuals as a least-squares problem in the parameters of the dynamics."""
         return WeakProblem(dynamics, batch, ROBUST[self.robust], self.relative)
 
     def divided(self, batch: Segment) -> tuple[Segment, None]:
-        """Return the whole batch to step on."""
+        """Return the whole batch for the step."""
         return batch, None
 
     def validation(self, dynamics: Dynamics, batch: Segment) -> dict[str, Tensor]:
@@ -80,10 +84,10 @@ class Weak:
 
 
 class WeakProblem:
-    """Integrals of noisy samples as a problem in the parameters theta, shape (P,), of dynamics with a field.
+    """Least-squares problem of weak-form integrals in the parameters theta, shape (P,), of a field.
 
     Raises:
-        UserError: measurements whose equation of motion the field does not say.
+        UserError: measurements whose equation of motion the field does not determine.
     """
 
     def __init__(self, dynamics: Dynamics, batch: Segment, robust: Robust, relative: bool = False) -> None:
@@ -97,16 +101,16 @@ class WeakProblem:
         order = self.motion.order
         width = batch.instrument.width * (WIDTHS[order] if bool(present.all()) else 1)
         self.tests = bumps(times[kept], present[kept], width, order)
-        anywhere = batch.values.nanmean(1, keepdim=True)  # in place of a sample whose sums do not count
+        anywhere = batch.values.nanmean(1, keepdim=True)  # replaces samples whose sums are ignored
         self.values = torch.where(batch.values.isnan(), anywhere, batch.values)
         self.count = int(self.tests.there.sum()) * self.values.shape[-1] * (len(self.values) if alike else 1)
         self.factor = self._factor()
 
     @torch.no_grad()
     def _factor(self) -> BandedFactor:
-        """Return the factor of the covariances of the sums' noise, and of what the field misses."""
+        """Return the covariance factor of the sums' noise and of the model discrepancy."""
         field = self.motion.right(cast(HasField, self._exact).field)
-        if self.relative:  # a field that is still wrong does not say how noise moves it
+        if self.relative:  # an inaccurate field does not describe the propagation of noise
             nearest, *further = self._bands(slice(None), None)
             missed = self._missed(field, nearest.diagonal(dim1=-2, dim2=-1))
             return BandedFactor.of(
@@ -119,14 +123,14 @@ class WeakProblem:
         return BandedFactor.joined(each(of, slices(len(self.values), SEGMENTS), self.values.device))
 
     def _bands(self, part: slice, rates: Tensor | None) -> list[Tensor]:
-        """Return the covariances of some segments, as `Factor.of` takes them; 1 where a sum is not there."""
+        """Return the covariances of segments in the format of `Factor.of`; 1 for missing sums."""
         tests, size = self.tests.rows(part), self.values.shape[-1]
         nearest, *further = tests.covariances(size, rates)
         missing = (~tests.there).unsqueeze(-1).expand(-1, -1, size)
         return [nearest + torch.diag_embed(missing.to(nearest)), *further]
 
     def _missed(self, field: Function, noise: Tensor) -> Tensor:
-        """Return e^2 g^2, (B, J, D), of what the field misses; each kind of quantity has an e of its own."""
+        """Return the discrepancy e^2 g^2, (B, J, D), with a separate e for each kind of quantity."""
         parts = [(self._sums(field, part), self._sums(None, part)) for part in self._parts(50)]
         kinds = self.motion.kinds
         sums, effects = (torch.cat(some).chunk(kinds, -1) for some in zip(*parts, strict=True))
@@ -137,7 +141,7 @@ class WeakProblem:
         return torch.cat(missed, -1)
 
     def _rates(self, part: slice) -> Tensor:
-        """Return the derivatives of the field at some samples, in deviations, (B, K + 1, D, D)."""
+        """Return the derivatives of the field at samples, in standard deviations, (B, K + 1, D, D)."""
         x, field = self.values[part].flatten(0, 1), cast(HasField, self._exact).field
         along = varied(field)
         of_some = pointwise_jacobian if along is None else jacobian_along
@@ -147,7 +151,7 @@ class WeakProblem:
         return (rows * deviations / deviations.unsqueeze(-1)).unflatten(0, self.values[part].shape[:2])
 
     def _sums(self, field: Function | None, part: slice) -> Tensor:
-        """Return the sums of some of the segments in deviations, (B, J, D); without a field those of data."""
+        """Return the sums of segments in standard deviations, (B, J, D); those of data without a field."""
         tests, x = self.tests.rows(part), self.values[part]
         sums = integrated(tests.on_data, tests.stride, x)
         if field is not None:
@@ -155,7 +159,7 @@ class WeakProblem:
         return sums * tests.there.unsqueeze(-1) / self.batch.instrument.deviations.to(x)
 
     def integrals(self, field: Function, part: slice) -> Tensor:
-        """Return the whitened integrals (B, J, D) of some of the segments."""
+        """Return the whitened integrals (B, J, D) of selected segments."""
         return self.factor.rows(part).whiten(self._sums(field, part).unsqueeze(-1)).squeeze(-1)
 
     def _parts(self, numbers: int) -> Iterator[slice]:
@@ -197,11 +201,11 @@ class WeakProblem:
         return lambda: self.integrals(self.motion.right(cast(HasField, self._exact).field), part)
 
     def _rows(self, theta: Tensor, field: Function, part: slice) -> ResidualRows:
-        """Return the residuals of some segments and their Jacobian."""
+        """Return the residuals of selected segments and their Jacobian."""
         plain = self.integrals(field, part)
         weight = self.robust.weight(plain).sqrt()
         tests, x = self.tests.rows(part), self.values[part]
-        forcing = self.motion.rows(theta, x)  # (B, K + 1, L, P): of the last L components
+        forcing = self.motion.rows(theta, x)  # (B, K + 1, L, P): for the last L components
         still, moved = x.shape[-1] - forcing.shape[2], forcing.shape[2]
         sums = integrated(tests.on_field, tests.stride, forcing.flatten(2)).unflatten(-1, forcing.shape[2:])
         sums.mul_(
@@ -210,5 +214,5 @@ class WeakProblem:
         padded = torch.nn.functional.pad(sums, (0, 0, still, 0)) if still else sums
         jacobian = self.factor.rows(part).whiten(padded)
         jacobian = jacobian.mul_(weight.unsqueeze(-1).to(jacobian)).flatten(0, 2)
-        # Sums of many residuals decide, whose matrix has no digits left in float32.
+        # The result depends on sums of many residuals, whose matrix loses all digits in float32.
         return ResidualRows(self.robust.cost(plain).sum(), (weight * plain).flatten(), jacobian.to(theta))

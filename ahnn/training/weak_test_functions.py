@@ -1,4 +1,4 @@
-"""Test functions over spans of samples, their integrals, and the noise of these."""
+"""Test functions over spans of samples, their integrals, and the noise of the integrals."""
 
 from __future__ import annotations
 
@@ -8,25 +8,26 @@ import torch
 from torch import Tensor
 
 POWER = 8
-"""Of phi = (1 - u^2)^p: so many derivatives vanish at its ends, where sums then equal integrals."""
+"""Exponent p of phi = (1 - u^2)^p: number of derivatives vanishing at its ends, so sums equal integrals."""
 NARROWEST = {1: 10, 2: 6}
-"""Samples in half a span, at least, by the order of the equation: over fewer the sums are no integrals,
-however little the noise. Positions come rarely, and wide spans would look past the places of large forces."""
+"""Minimum number of samples in half a span, by the order of the equation: with fewer, sums are not integrals,
+however small the noise. Positions are sparse, and wide spans would smooth out regions of large forces.
+"""
 DEGREE = 7
-"""Of polynomials of which sums are exact at the samples, and not only in the limit of many."""
+"""Degree of polynomials for which sums are exact at finitely many samples."""
 PER_WIDTH = 3
-"""Test functions that begin within half a span."""
+"""Number of test functions that begin within half a span."""
 UNEVEN = 3.0
-"""Ratio of neighbouring steps beyond which straight lines are trusted more than a parabola."""
+"""Ratio of neighbouring steps beyond which linear interpolation replaces a parabola."""
 
 
 class Tests(NamedTuple):
-    """Test functions of some segments, times the weights of a rule of integration.
+    """Test functions of segments, multiplied by quadrature weights.
 
     Attributes:
-        stride: samples between the first ones of neighbouring spans.
-        on_field: phi over its span of S samples, (B, J, S); B may be 1 for all alike.
-        on_data: -(-1)^k times the k-th derivative of phi, (B, J, S), of an equation of order k.
+        stride: number of samples between the beginnings of neighbouring spans.
+        on_field: phi over its span of S samples, (B, J, S); B may be 1 if common to all.
+        on_data: -(-1)^k times the k-th derivative of phi, (B, J, S), for an equation of order k.
         there: (B, J) bool, whether no sample of the span is missing.
     """
 
@@ -36,22 +37,22 @@ class Tests(NamedTuple):
     there: Tensor
 
     def rows(self, part: slice) -> Tests:
-        """Return those of some segments."""
+        """Return the test functions of selected segments."""
         if len(self.on_field) == 1:
             return self
         return Tests(self.stride, self.on_field[part], self.on_data[part], self.there[part])
 
     def covariances(self, size: int, rates: Tensor | None = None) -> list[Tensor]:
-        """Return the covariances of sums over spans that overlap, the closest first, for `Factor.of`.
+        """Return the covariances of sums over overlapping spans, closest first, for `Factor.of`.
 
-        Noise n of the samples moves a sum by phi' n + phi J n, or -phi'' n + phi J n where the equation is of
-        second order, with J the derivative of its right-hand side: where a momentum makes a position move,
-        its noise counts in both (Bortz, Messenger & Dukic 2023, Bull. Math. Biol. 85, 110). A sum with a
-        missing sample has no noise.
+        Noise n of the samples changes a sum by phi' n + phi J n, or by -phi'' n + phi J n for a second-order
+        equation, with J the derivative of its right-hand side: noise of a momentum also affects the position
+        equation (Bortz, Messenger & Dukic 2023, Bull. Math. Biol. 85, 110). A sum with a missing sample has
+        no noise.
 
         Args:
-            size: D, components of a sample.
-            rates: J in units of the noise of each component, (B, K + 1, D, D); None leaves it out.
+            size: number D of components of a sample.
+            rates: J in units of the noise of each component, (B, K + 1, D, D); None to omit it.
         """
         count, reach = self.on_field.shape[1:]
         one = torch.eye(size).to(self.on_data)
@@ -79,7 +80,7 @@ class Tests(NamedTuple):
 def integrated(weights: Tensor, stride: int, samples: Tensor) -> Tensor:
     """Return the sums over each span of weights (B, J, S) times samples (B, K + 1, M), shape (B, J, M).
 
-    Span j begins with the sample j x stride.
+    Span j begins at sample j x stride.
     """
     reach = stride * (weights.shape[1] - 1) + 1
     total = weights[..., :1].to(samples) * samples[:, :reach:stride]
@@ -90,13 +91,13 @@ def integrated(weights: Tensor, stride: int, samples: Tensor) -> Tensor:
 
 
 def bumps(times: Tensor, present: Tensor, width: int, order: int = 1) -> Tests:
-    """Return test functions over spans of 2 x width intervals, or of all of them if these are fewer.
+    """Build test functions over spans of 2 x width intervals, or over all intervals if there are fewer.
 
     Args:
-        times: (B, K + 1).
-        present: (B, K + 1) bool, whether a sample is there.
-        width: half of a span, in samples, of which there are at least `NARROWEST` where data reach so far.
-        order: k of the equation, 1 or 2.
+        times: (B, K + 1) sample times.
+        present: (B, K + 1) bool, whether a sample is present.
+        width: half of a span, in samples, at least `NARROWEST` if the data suffice.
+        order: order k of the equation, 1 or 2.
     """
     last = times.shape[1] - 1
     width = max(1, min(max(width, NARROWEST[order]), last // 2))
@@ -115,10 +116,10 @@ def bumps(times: Tensor, present: Tensor, width: int, order: int = 1) -> Tests:
 
 
 def _correction(on_field: Tensor, on_data: Tensor, u: Tensor, half: Tensor, order: int) -> Tensor:
-    """Return what makes the sums vanish for polynomials x(t) of `DEGREE` and their derivatives.
+    """Return the correction that makes sums exact for polynomials x(t) of `DEGREE`.
 
-    It is the smallest such, small where phi is. Where a span has few samples, a large mean position would
-    show in its sums without it.
+    It is the smallest such correction, small where phi is small. Without it, a large mean position would
+    contribute to sums over spans with few samples.
     """
     degree = min(DEGREE, u.shape[-1] - 3)
     power = torch.arange(degree + 1).to(u)
@@ -139,10 +140,11 @@ def _derivative(u: Tensor, bump: Tensor, order: int) -> Tensor:
 
 
 def quadrature(times: Tensor) -> Tensor:
-    """Return the weights (B, K + 1) of sums that are integrals of what vanishes at both ends, and beyond.
+    """Return quadrature weights (B, K + 1) for functions that vanish at and beyond both ends.
 
-    Simpson's rule over every two neighbouring steps, halved. At equal steps all weights are equal, and sums
-    of smooth functions exact to high order; at others the trapezoidal rule would be of second order.
+    Simpson's rule over every pair of neighbouring steps, halved. For equal steps all weights are equal, and
+    sums of smooth functions are exact to high order; for unequal steps the trapezoidal rule would be of
+    second order only.
     """
     steps = times.diff(dim=1)
     steps = torch.cat((steps[:, :1].expand(-1, 2), steps, steps[:, -1:].expand(-1, 2)), dim=1)

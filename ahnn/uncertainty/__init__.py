@@ -1,4 +1,4 @@
-"""How well learned dynamics are known: covariance of parameters, bands, distance from the training data."""
+"""Uncertainty of learned dynamics: parameter covariance, bands, distance from training data."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What uncertain parameters do to a rollout: to first order, and by samples of them."""
+"""Effect of parameter uncertainty on rollouts, to first order and by sampling."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from ahnn.shooting.path_sensitivities import Steps, in_quarters, path, sensitivi
 from ahnn.shooting.quadrature import coarse
 
 CELLS = 4e7
-"""Numbers in the largest tensor of sensitivities; longer batches are cut into parts."""
+"""Size limit of the largest sensitivity tensor; longer batches are divided into parts."""
 
 
 @torch.no_grad()
 def rollout_covariances(dynamics: Dynamics, start: Tensor, lengths: Tensor, factor: Tensor) -> Tensor:
-    """Return the covariances (B, N + 1, D, D) of the states that follow from exactly known starts.
+    """Return the covariances (B, N + 1, D, D) of rollouts from exact starts.
 
-    With x_k the state after k steps, C_k = (dx_k/dtheta) L L^T (dx_k/dtheta)^T: right to first order, so that
-    a band as wide as the motion itself only says that nothing is known there.
+    With x_k the state after k steps, C_k = (dx_k/dtheta) L L^T (dx_k/dtheta)^T: valid to first order, so that
+    a band as wide as the motion itself only means that the state is unknown.
 
     Args:
-        dynamics: with a field, float64; the parameters are theta.
-        start: (B, D).
-        lengths: of the steps, (B, N).
+        dynamics: float64 dynamics with a field and parameters theta.
+        start: (B, D) initial states.
+        lengths: step lengths, (B, N).
         factor: L, shape (P, R); L L^T is the covariance of theta.
     """
     parts = rollout_sensitivities(dynamics, start, lengths, factor)
@@ -41,14 +41,14 @@ def rollout_covariances(dynamics: Dynamics, start: Tensor, lengths: Tensor, fact
 def rollout_sensitivities(
     dynamics: Dynamics, start: Tensor, lengths: Tensor, factor: Tensor
 ) -> Iterator[Tensor]:
-    """Yield (dx_k/dtheta) L in float32, (b, N + 1, D, R), of some rollouts at a time.
+    """Yield (dx_k/dtheta) L in float32, (b, N + 1, D, R), for batches of rollouts.
 
-    Steps that are long for the trapezoidal rule are quartered.
+    Steps too long for the trapezoidal rule are quartered.
 
     Args:
-        dynamics: with a field, float64; the parameters are theta.
-        start: (B, D).
-        lengths: of the steps, (B, N).
+        dynamics: float64 dynamics with a field and parameters theta.
+        start: (B, D) initial states.
+        lengths: step lengths, (B, N).
         factor: L, shape (P, R).
     """
     steps = Steps(lengths, torch.arange(lengths.shape[1] + 1))
@@ -63,13 +63,13 @@ def rollout_sensitivities(
 def path_sensitivities(
     dynamics: Dynamics, states: Tensor, jacobians: Tensor, steps: Steps, factor: Tensor
 ) -> Iterator[Tensor]:
-    """Yield (dx_k/dtheta) L at the times that steps end on, (b, K + 1, D, R), of some paths at a time.
+    """Yield (dx_k/dtheta) L at the selected times, (b, K + 1, D, R), for batches of paths.
 
     Args:
-        dynamics: with a field, float64; the parameters are theta.
-        states: of the paths, (B, N + 1, D).
-        jacobians: of their steps, (B, N, D, D), in the precision that is wanted.
-        steps: between the times.
+        dynamics: float64 dynamics with a field and parameters theta.
+        states: states of the paths, (B, N + 1, D).
+        jacobians: Jacobians of their steps, (B, N, D, D), in the requested precision.
+        steps: steps between the times.
         factor: L, shape (P, R).
     """
     theta = parameters_to_vector(dynamics.parameters()).detach()
@@ -87,17 +87,16 @@ def sampled_rollouts(
 ) -> Tensor:
     """Return rollouts (count, B, N + 1, D) of dynamics whose parameters are drawn from N(theta, L L^T).
 
-    The increments are linear in the draw, the rollouts are not. A network itself is not linear over the
-    widths of parameters that no data determine, and draws of them say nothing (Immer, Korzepa & Bauer 2021,
-    AISTATS).
+    Increments are linearised in the draw, rollouts are not. A network is nonlinear over the widths of
+    undetermined parameters, for which direct draws are meaningless (Immer, Korzepa & Bauer 2021, AISTATS).
 
     Args:
-        dynamics: float64; the parameters are theta.
-        start: (B, D).
-        lengths: of the steps, (B, N).
+        dynamics: float64 dynamics with parameters theta.
+        start: (B, D) initial states.
+        lengths: step lengths, (B, N).
         factor: L, shape (P, R).
-        count: of the draws.
-        seed: of the draws.
+        count: number of draws.
+        seed: seed of the draws.
     """
     theta = parameters_to_vector(dynamics.parameters()).detach()
     generator = torch.Generator().manual_seed(seed)
@@ -105,7 +104,7 @@ def sampled_rollouts(
     increment = parametrised(dynamics, dynamics.increment, theta.dtype)
 
     def moved(draw: Tensor, x: Tensor, dt: Tensor) -> Tensor:
-        # The change J draw is the derivative of u -> u^T J: twice in reverse mode, whatever the operations.
+        # J times the draw is the derivative of u -> u^T J: reverse mode applied twice, for any operations.
         pair: Any = vjp(lambda parameters: increment(parameters, x, dt), theta)
         _, change = cast(Any, vjp(lambda u: pair[1](u)[0], torch.zeros_like(x)))
         return x + pair[0] + change(draw)[0]

@@ -1,4 +1,4 @@
-"""Learned numbers that mean something by themselves, such as friction, with standard deviations."""
+"""Learned physical constants, such as friction, with standard deviations."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from ahnn.dynamics import Dynamics
 
 
 class Constant(NamedTuple):
-    """A learned number.
+    """Learned constant.
 
     Attributes:
-        name: of it, such as `friction.coefficient`.
-        value: in the units of the system.
-        deviation: standard deviation; NaN where the covariance of the parameters is not known.
+        name: name, such as `friction.coefficient`.
+        value: value in the units of the system.
+        deviation: standard deviation; NaN if the parameter covariance is unknown.
     """
 
     name: str
@@ -27,11 +27,11 @@ class Constant(NamedTuple):
     deviation: float
 
     def numbers(self) -> list[float | None]:
-        """Return value and deviation, None where it is not known, for metrics.json."""
+        """Return value and deviation, None if unknown, for metrics.json."""
         return [self.value, None if math.isnan(self.deviation) else self.deviation]
 
     def __str__(self) -> str:
-        """Return name, value and deviation, in as many digits as the deviation leaves."""
+        """Return name, value and deviation, rounded by the deviation."""
         if not self.deviation > 0:
             return f"{self.name} {self.value:.6g}"
         digits = math.floor(math.log10(abs(self.value) / self.deviation)) + 2 if self.value else 2
@@ -41,12 +41,12 @@ class Constant(NamedTuple):
 def learned_constants(dynamics: Dynamics, spread: Tensor | None) -> list[Constant]:
     """Return the learned constants of dynamics, in the order of their parts.
 
-    A part with a method `constants` has some: from names to tensors that its parameters give. A name of
-    several numbers is counted from 1.
+    A part provides constants by a method `constants`, a mapping from names to tensors. Elements of a tensor
+    are numbered from 1.
 
     Args:
-        dynamics: float64.
-        spread: factor (P, R) of the second moment of the parameters, in their order; None where not known.
+        dynamics: float64 dynamics.
+        spread: factor (P, R) of the second moment of the parameters, in their order; None if unknown.
     """
     own_copy = copy.deepcopy(dynamics).requires_grad_()
     parameters, found = list(own_copy.parameters()), []

@@ -1,12 +1,12 @@
-"""The few directions of learned parameters that matter to a filter, of all in which they are uncertain.
+"""Selection of the uncertain parameter directions that are relevant to a filter.
 
-What is left out makes a filter overconfident. Where parameters are off by L eta, eta ~ N(0, I), and a
-filter does not learn them but counts them in its covariance P, its error is S eta beside what start and
-noise leave (the consider filter of Schmidt; Bierman 1977, Factorization Methods for Discrete Sequential
-Estimation, chapter 8): S moves with the flow, P = P' + S S^T gives the gain K, and an update leaves (I - K
-H) S. The mean of e^T P^-1 e is D, of which each column of S has its squared length in units of P. So
-directions are weighed by these: by what a filter cannot tell from measurements, and not by where a
-prediction without any ends up.
+Omitted directions make a filter overconfident. If parameters have errors L eta, eta ~ N(0, I), which a filter
+does not estimate but considers in its covariance P, its error is S eta plus that of start and noise (the
+consider filter of Schmidt; Bierman 1977, Factorization Methods for Discrete Sequential Estimation, chapter
+8): S is propagated by the flow, P = P' + S S^T gives the gain K, and an update gives (I - K H) S. The mean of
+e^T P^-1 e is D, to which each column of S contributes its squared length in units of P. Directions are ranked
+by these contributions, i.e. by what a filter cannot determine from measurements, and not by their effect on
+pure predictions.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from ahnn.measurements import Segment
 from ahnn.shooting.path_sensitivities import Steps, path, sensitivities, steps_between, transitions
 
 ARCS = 12
-"""Training trajectories, about, along which directions are weighed."""
+"""Approximate number of training trajectories for the ranking."""
 MOST = 50
-"""Directions of the parameters that a filter has as states, at most."""
+"""Maximum number of parameter directions used as filter states."""
 SAMPLES = 100
-"""Times of a path at which directions are weighed, about."""
+"""Approximate number of times per path for the ranking."""
 LEAST = 1e-9
-"""Added to a correlation matrix, which rounding may leave singular."""
+"""Jitter of correlation matrices, which rounding may make singular."""
 
 
 class Watched(NamedTuple):
-    """Paths that a filter follows.
+    """Paths of a filter.
 
     Attributes:
-        start: where they begin, (B, D).
-        start_sd: (D,) what is known of that, standard deviations.
-        segment: times, which numbers are measured (the others are NaN), and by what; values do not count.
+        start: initial states, (B, D).
+        start_sd: (D,) their standard deviations.
+        segment: times, pattern of measured values (NaN for others), and sensor; values are ignored.
     """
 
     start: Tensor
@@ -52,11 +52,11 @@ class Watched(NamedTuple):
 
 
 class Chosen(NamedTuple):
-    """Directions of the parameters for a filter.
+    """Selected parameter directions for a filter.
 
     Attributes:
-        directions: (P, K), the most important first, the largest part of each positive.
-        left_out: what the others add to the NEES of a filter that does not learn, at most along its paths.
+        directions: (P, K), in order of importance, with positive largest component.
+        left_out: maximum contribution of the others to the NEES along the paths.
     """
 
     directions: Tensor
@@ -67,17 +67,18 @@ class Chosen(NamedTuple):
 def filtered_directions(
     dynamics: Dynamics, spread: Tensor, watched: Watched, most: int, enough: float = 0.0
 ) -> Chosen:
-    """Return the directions of the parameters that a filter tells least from its measurements.
+    """Return the parameter directions least observable by a filter from its measurements.
 
     Args:
-        dynamics: with a field, float64.
+        dynamics: float64 dynamics with a field.
         spread: L, shape (P, R); L L^T is the covariance of the parameters.
-        watched: the paths of the filter; those that leave all numbers are left out.
-        most: directions, at most.
-        enough: of NEES per state component that others may add; there are as few directions as that takes.
+        watched: paths of the filter; diverging paths are omitted.
+        most: maximum number of directions.
+        enough: tolerated NEES contribution of the others per state component; the fewest sufficient
+            directions are returned.
 
     Raises:
-        UserError: no path stays finite.
+        UserError: all paths diverge.
     """
     steps = steps_between(watched.segment.times, watched.segment.instrument.longest)
     states = path(dynamics.increment, watched.start, steps.lengths)
@@ -107,13 +108,13 @@ def filtered_directions(
 
 
 class _Arc(NamedTuple):
-    """Paths and what moves with them.
+    """Paths with their Jacobians and forcing.
 
     Attributes:
-        states: (B, N + 1, D).
-        jacobians: of the steps, (B, N, D, D), float32.
-        steps: between the times of the measurements.
-        driven: part of the states -> what the columns of L add to the field there, (B, n, ., R), float32.
+        states: (B, N + 1, D) states.
+        jacobians: Jacobians of the steps, (B, N, D, D), float32.
+        steps: steps between measurement times.
+        driven: part of the states -> field derivatives along the columns of L, (B, n, ., R), float32.
     """
 
     states: Tensor
@@ -133,9 +134,9 @@ class _Arc(NamedTuple):
 
 
 def _whitened_rows(arc: _Arc, segment: Segment, start_sd: Tensor, columns: int) -> Iterator[Tensor]:
-    """Yield P^-1/2 S of all paths, (B, D, R), at some times: what a column adds to the NEES is its square.
+    """Yield P^-1/2 S of all paths, (B, D, R), at some times; squared columns are NEES contributions.
 
-    Behind the last measurement of a path it is 0: there is no filter any more.
+    It is 0 after the last measurement of a path, where the filter has ended.
     """
     batch, samples = segment.times.shape
     apart = max(1, (samples - 1) // SAMPLES)
@@ -159,7 +160,7 @@ def _whitened_rows(arc: _Arc, segment: Segment, start_sd: Tensor, columns: int) 
 
 
 def _whitened(moved: Tensor, own: Tensor) -> Tensor:
-    """Return P^-1/2 S, with P = P' + S S^T, of S (..., D, R) and P' (..., D, D)."""
+    """Return P^-1/2 S, with P = P' + S S^T, from S (..., D, R) and P' (..., D, D)."""
     total = own + moved @ moved.mT
     unit = total.diagonal(dim1=-2, dim2=-1).rsqrt().unsqueeze(-1)
     root = torch.linalg.cholesky(unit * total * unit.mT + LEAST * torch.eye(own.shape[-1]).to(own))
@@ -167,7 +168,7 @@ def _whitened(moved: Tensor, own: Tensor) -> Tensor:
 
 
 def _updated(moved: Tensor, own: Tensor, rows: Tensor, deviations: Tensor) -> tuple[Tensor, Tensor]:
-    """Return S and P' after an update by measurements with Jacobian H, (B, M, D); zeros tell nothing."""
+    """Return S and P' after an update by measurements with Jacobian H, (B, M, D); zero rows are ignored."""
     noise, s = torch.diag(deviations**2).to(own), moved.to(own)
     seen = rows @ (own + s @ s.mT)
     gain = torch.linalg.solve(seen @ rows.mT + noise, seen).mT

@@ -1,10 +1,10 @@
-"""Where dynamics were learned, and how far from there a state is.
+"""Training domain of learned dynamics, and novelty of states.
 
-A network says nothing of states that its training never showed it, and does not know. So some of the training
-states are kept, spread evenly over what the networks see of them, and a state is as novel as its nearest one
-is far away. The unit is the distance that one training state in a hundred exceeds, or a little more where
-data are dense: up to 1 is known ground. What is known exactly, such as p^2 / 2m, has no inputs and makes no
-state novel.
+A network is unreliable for states far from its training data, without indication. Representative training
+states are therefore saved, spread evenly in the networks' input space; the novelty of a state is the distance
+to the nearest one. The unit is the distance exceeded by one training state in a hundred, or slightly more for
+dense data: up to 1 a state is within the training domain. Exactly known terms, such as p^2 / 2m, have no
+inputs and do not contribute.
 """
 
 from __future__ import annotations
@@ -19,34 +19,35 @@ from ahnn.errors import UserError
 from ahnn.stored import Known, read
 
 KEPT = 500
-"""Training states that are kept, at most half of them: the others say how far apart neighbours are."""
+"""Maximum number of representative states, at most half of the training; the others define the unit."""
 FARTHEST = 0.01
-"""Fraction of the training states that are farther than 1 from all of them."""
+"""Fraction of the training states with novelty above 1."""
 
 TOGETHER = 20_000
-"""States that are compared at once."""
+"""Number of states compared at once."""
 FINEST = 0.04
-"""Least unit, as a fraction of half the range of the inputs: where data are dense, a smooth network still
-knows what lies a little beside them."""
+"""Minimum unit, as a fraction of half the range of the inputs: with dense data a smooth network is still
+reliable slightly outside them.
+"""
 BEYOND = 1.5
-"""Novelty from which a state is flagged: unseen trajectories of the training's kind reach 1.3."""
+"""Novelty above which a state is flagged: unseen trajectories similar to the training reach 1.3."""
 RATE = 500.0
-"""Times the square of novelty - 1: what the error of a learned force grows by (docs/novelty.md)."""
+"""Growth rate of a learned force's error with the square of novelty - 1 (docs/novelty.md)."""
 
 
 class Domain(NamedTuple):
-    """Training states that stand for all.
+    """Representative training states.
 
     Attributes:
-        states: (K, D), in the units of the space.
-        unit: distance of the inputs that counts as 1.
+        states: (K, D) states in the units of the space.
+        unit: distance of inputs that corresponds to novelty 1.
     """
 
     states: Tensor
     unit: float
 
     def about(self) -> dict[str, Any]:
-        """Return plain values, as `domain_of` reads them; nine digits are more than a distance needs."""
+        """Return plain values for `domain_of`, rounded to nine digits, sufficient for distances."""
         return {
             "unit": self.unit,
             "states": [[float(f"{v:.9g}") for v in row] for row in self.states.tolist()],
@@ -54,29 +55,29 @@ class Domain(NamedTuple):
 
     @torch.no_grad()
     def novelty(self, dynamics: Dynamics, x: Tensor) -> Tensor:
-        """Return how far states are from those of the training, shape (...).
+        """Return the novelty of states, i.e. their scaled distance from training states, shape (...).
 
         Args:
-            dynamics: whose inputs count.
-            x: (..., D) float64; NaN has NaN.
+            dynamics: dynamics that define the inputs.
+            x: (..., D) float64; NaN gives NaN.
         """
         return _distances(dynamics.seen(x), dynamics.seen(self.states)) / self.unit
 
 
 def growth(novelty: Tensor, rate: float = RATE) -> Tensor:
-    """Return the factor, at least 1, on the error of a learned force at states of some novelty.
+    """Return the factor >= 1 on the error of a learned force at states of given novelty.
 
-    It begins gently: one training state in a hundred lies a little beyond 1.
+    It grows slowly at first, since one training state in a hundred is slightly beyond 1.
     """
     return 1 + rate * (novelty - 1).clamp(min=0).square()
 
 
 @torch.no_grad()
 def find_domain(dynamics: Dynamics, states: Tensor) -> Domain:
-    """Return the domain of some training states (M, D), float64, by the inputs of fitted dynamics.
+    """Determine the domain of training states (M, D), float64, from the inputs of fitted dynamics.
 
-    Each state that is kept is the one farthest from those kept so far (Gonzalez 1985), so that rare places
-    such as a perigee have their share.
+    States are chosen successively, each farthest from the previous ones (Gonzalez 1985), so that rarely
+    sampled regions such as a perigee are represented.
     """
     inputs = dynamics.seen(states)
     chosen, nearest = [0], torch.full(inputs.shape[:1], torch.inf, dtype=inputs.dtype)
@@ -86,18 +87,18 @@ def find_domain(dynamics: Dynamics, states: Tensor) -> Domain:
     nearest = torch.minimum(nearest, (inputs - inputs[chosen[-1]]).norm(dim=-1))
     half = float((inputs.amax(0) - inputs.amin(0)).max()) / 2
     unit = max(float(nearest.quantile(1 - FARTHEST)), FINEST * half)
-    return Domain(states[chosen], unit if unit > 0 else 1.0)  # they do not vary
+    return Domain(states[chosen], unit if unit > 0 else 1.0)  # constant inputs
 
 
 def domain_of(about: dict[str, Any], size: int) -> Domain | None:
-    """Return the domain beside weights; None where an earlier version wrote none.
+    """Read the domain from the metadata of weights; None for earlier versions.
 
     Args:
-        about: what stands beside the weights.
-        size: D, number of state components.
+        about: metadata of the weights.
+        size: number D of state components.
 
     Raises:
-        UserError: it is damaged.
+        UserError: damaged metadata.
     """
     if about.get("domain") is None:
         return None
@@ -109,9 +110,9 @@ def domain_of(about: dict[str, Any], size: int) -> Domain | None:
 
 
 def _distances(inputs: Tensor, known: Tensor) -> Tensor:
-    """Return the distance (...) of each of the inputs (..., F) from the nearest of the known ones (K, F)."""
+    """Return the distance (...) of inputs (..., F) from the nearest known ones (K, F)."""
     flat = inputs.reshape(-1, inputs.shape[-1])
-    # |a - b|² as a product would lose the digits that near points differ by.
+    # Expanding |a - b|² as a product would lose the digits that distinguish near points.
     exact = "donot_use_mm_for_euclid_dist"
     parts = [torch.cdist(part, known, compute_mode=exact).amin(-1) for part in flat.split(TOGETHER)]
     return torch.cat(parts).reshape(inputs.shape[:-1])

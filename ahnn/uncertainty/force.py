@@ -1,4 +1,4 @@
-"""How uncertain a learned force is at a state, as the covariance of the parameters has it."""
+"""Uncertainty of a learned force from the parameter covariance."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from ahnn.dynamics import HasField
 from ahnn.dynamics.derivatives import field_jacobian
 
 KEPT = 0.9999
-"""Share of the variance at the given states that the directions of parameters have that are kept."""
+"""Fraction of the variance at the given states explained by the retained parameter directions."""
 LEAST = 1e-6
-"""Force, over its root mean square at the given states, of which a fraction is not counted any more."""
+"""Regularisation of the relative deviation for small forces, relative to the rms at the given states."""
 
 
 @torch.no_grad()
 def force_deviation(dynamics: nn.Module, spread: Tensor, states: Tensor) -> Callable[[Tensor], Tensor]:
     """Return x (..., D) -> standard deviation of the learned dp/dt as a fraction of its size, shape (...).
 
-    To first order in the parameters, the root mean square over the components. Of all directions in which
-    parameters are uncertain few move the force: the others are left out.
+    First order in the parameters, root mean square over components. Only the few parameter directions that
+    affect the force are kept.
 
     Args:
-        dynamics: with a field, float64; their parameters are theta.
+        dynamics: float64 dynamics with a field and parameters theta.
         spread: L, shape (P, R); L L^T is the covariance of theta.
-        states: (M, D) that stand for those that will be asked for.
+        states: (M, D) representative states.
     """
     field, dof = cast(HasField, dynamics).field, states.shape[-1] // 2
     theta = parameters_to_vector(dynamics.parameters()).detach()
@@ -53,7 +53,7 @@ def force_deviation(dynamics: nn.Module, spread: Tensor, states: Tensor) -> Call
 
 
 def _axes(rows: Tensor) -> Tensor:
-    """Return the directions (R, K) that hold nearly all of the squares of rows (N, R)."""
+    """Return the principal directions (R, K) of rows (N, R)."""
     _, sizes, axes = torch.linalg.svd(rows, full_matrices=False)
     shares = sizes.square().cumsum(0) / sizes.square().sum()
     return axes[: int((shares < KEPT).sum()) + 1].mT

@@ -1,10 +1,10 @@
-"""How far off forecasts are that begin with a fit: through what was measured, and through the parameters.
+"""Uncertainty of forecasts from fitted initial states, due to measurement noise and parameters.
 
-A start is fitted to the measurements of a while, the dynamics held fixed. With A the derivative of these, in
-standard deviations of their noise, with respect to the start, and V that with respect to parameters that are
-off by eta ~ N(0, I), the start is off by A^+ (noise - V eta): parameters move a forecast by themselves, and
-through the start that they let fit best (consider covariance; Tapley, Schutz & Born 2004, chapter 6). The two
-all but cancel, so that both are in float64, along steps short enough for the rule of their integrals.
+An initial state is fitted to measurements with fixed dynamics. Let A be the derivative of the normalised
+measurements with respect to the initial state, and V that with respect to parameters with errors eta ~ N(0,
+I). The initial error is A^+ (noise - V eta): parameters affect a forecast directly and through the fitted
+initial state (consider covariance; Tapley, Schutz & Born 2004, chapter 6). The two effects nearly cancel, so
+both are computed in float64, with steps short enough for the quadrature.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ def forecast_columns(
     factor: Tensor,
     whitening: Whitening | None = None,
 ) -> Iterator[tuple[Tensor, Tensor]]:
-    """Yield how far one standard deviation of each cause moves forecasts, for some of them at a time.
+    """Yield the effect of one standard deviation of each cause on forecasts, in batches.
 
-    Causes are the noise of what was fitted, columns (b, K + 1, D, D) at the times of measurements, and the
-    parameters, (b, K + 1, D, R). The covariance of a state is the sum of C C^T of both.
+    Causes are the noise of the fitted measurements, columns (b, K + 1, D, D) at the times of measurements,
+    and the parameters, (b, K + 1, D, R). The covariance of a state is the sum of C C^T of both.
 
     Args:
-        dynamics: with a field, float64.
-        states: (B, N + 1, D), the paths from the starts that fit best.
-        steps: between the times, quartered where `ahnn.shooting.quadrature` asks for it.
+        dynamics: float64 dynamics with a field.
+        states: (B, N + 1, D) paths from the fitted initial states.
+        steps: steps between the times, quartered if required by `ahnn.shooting.quadrature`.
         here: derivatives of steps and measurements along the paths.
-        fitted: (B, K + 1) bool, the times whose measurements the starts were fitted to.
+        fitted: (B, K + 1) bool, times of the fitted measurements.
         factor: L, shape (P, R); L L^T is the covariance of the parameters.
         whitening: of the residuals, where their noise is coloured.
     """
@@ -55,6 +55,6 @@ def forecast_columns(
     first = 0
     for moved in path_sensitivities(dynamics, states, jacobians, steps, factor):
         rows, first = slice(first, first + len(moved)), first + len(moved)
-        # Where nothing was fitted paths may be lost: zeros in their place, since 0 times NaN is none.
+        # Paths may diverge after the fitted part: replaced by zeros, since 0 times NaN is NaN.
         taken = torch.einsum("bkde,bkdr->ber", pulls[rows], moved.masked_fill(later[rows], 0.0))
         yield noise[rows], moved - noise[rows] @ taken.unsqueeze(1)

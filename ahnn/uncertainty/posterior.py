@@ -1,4 +1,4 @@
-"""The covariance of learned parameters, as a file beside the weights that it belongs to."""
+"""Covariance of learned parameters, stored in a file next to the weights."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ class Uncertainty:
     """Learned parameters as a normal distribution (Laplace's approximation).
 
     Attributes:
-        factor: L, shape (P, R), float64; L L^T is the covariance that unit noise alone gives.
-        offset: (P,) step from what was learned to the optimum, which a training has not reached quite.
-        inflation: factor on the covariance, at least 1, for what noise does not explain.
+        factor: L, shape (P, R), float64; L L^T is the covariance for unit noise.
+        offset: (P,) remaining step from the learned parameters to the optimum.
+        inflation: factor on the covariance, at least 1, for errors not explained by noise.
         about: plain values: `determined` (effective number of parameters), `strengths` of the prior,
             `chi_square` of the training, `remaining` (squared length of the offset in standard deviations),
-            `held_out` (the part of the inflation that validation measurements ask for), `log_evidence`.
-        directions: (P, K) of the parameters, those that a filter tells least from measurements such as
-            these, the most important first; None where nobody looked.
-        step: (P,) step that functions took beyond their parameters (`ahnn.dynamics.linearised`), if any.
-        before: dynamics and distribution of their parameters before that step, once it is taken. They say the
-            same of how functions may move, with a third of the network.
+            `held_out` (the part of the inflation required by validation measurements), `log_evidence`.
+        directions: (P, K) parameter directions least observable by a filter from similar measurements, in
+            order of importance; None if not computed.
+        step: (P,) step in function space (`ahnn.dynamics.linearised`), if any.
+        before: dynamics and distribution of their parameters before that step, once it is taken. They
+            describe the same uncertainty of functions with a third of the network.
     """
 
     factor: Tensor
@@ -52,16 +52,16 @@ class Uncertainty:
 
     @property
     def covariance(self) -> Tensor:
-        """That second moment, shape (P, P), in the order of `dynamics.parameters()`."""
+        """Second moment of true minus learned parameters, (P, P), ordered as `dynamics.parameters()`."""
         return self.spread @ self.spread.mT
 
     @property
     def least_observable(self) -> Tensor | None:
-        """The directions that the training kept, of the parameters before the step of their functions."""
+        """Saved least observable directions, for parameters before the function-space step."""
         return (self if self.before is None else self.before[1]).directions
 
     def taken(self, dynamics: Dynamics) -> tuple[Dynamics, Uncertainty]:
-        """Return dynamics after the step of their functions, and this distribution of their parameters."""
+        """Return dynamics after the function-space step, and the distribution of their parameters."""
         found = None if self.step is None else linearised(dynamics, self.step)
         if found is None:
             return dynamics, self
@@ -74,7 +74,7 @@ class Uncertainty:
 
 
 def save_uncertainty(folder: Path, uncertainty: Uncertainty, state: dict[str, Tensor]) -> None:
-    """Write the covariance into a run folder, with the checksum of the weights that it belongs to."""
+    """Write the covariance into a run folder, with the checksum of its weights."""
     about = {"format": FORMAT, "weights": checksum(state, ""), "inflation": uncertainty.inflation}
     about["found"] = uncertainty.about
     parts = {name: getattr(uncertainty, name) for name in PARTS}
@@ -83,7 +83,7 @@ def save_uncertainty(folder: Path, uncertainty: Uncertainty, state: dict[str, Te
 
 
 def load_uncertainty(folder: Path, state: dict[str, Tensor]) -> Uncertainty | None:
-    """Return the covariance in a run folder; None where there is none, or where it is of other weights.
+    """Load the covariance in a run folder; None if it is missing or belongs to other weights.
 
     Raises:
         UserError: the file is damaged.

@@ -1,1 +1,1 @@
-"""Evaluation plugins and callbacks of ahnn, named only in YAML."""
+"""Evaluation plugins and callbacks of ahnn, referenced only from YAML."""

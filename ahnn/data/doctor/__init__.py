@@ -1,4 +1,4 @@
-"""What is wrong with data before anything is learned from them: all of it, in one pass."""
+"""Data doctor: all defects of data found in one pass before training."""
 
 from __future__ import annotations
 

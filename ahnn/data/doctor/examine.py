@@ -1,4 +1,4 @@
-"""All of the tests on all of the files, in one pass."""
+"""Application of all tests to all files, in one pass."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from ahnn.data.files.reading import FileReading, bytes_of, parsed
 from ahnn.data.files.table import Fault, Place, Remark
 
 JUDGED = 200
-"""Trajectories of a file, evenly spread, whose units and frame are judged."""
+"""Number of evenly spread trajectories of a file whose units and frame are tested."""
 KINDS = ("positions", "rates", "momenta", "units", "frame")
-"""What files that are read together share."""
+"""Properties shared by files that are read together."""
 
 
 class Examined(NamedTuple):
-    """What was found.
+    """Result of an examination.
 
     Attributes:
-        findings: in the order of the files, faults of reading first.
-        contents: of the files that could be read at all.
+        findings: findings in the order of the files, read errors first.
+        contents: contents of the readable files.
     """
 
     findings: list[Finding]
@@ -34,7 +34,7 @@ class Examined(NamedTuple):
 
     @property
     def faults(self) -> list[Finding]:
-        """What would spoil a training."""
+        """Findings that would spoil a training."""
         return [finding for finding in self.findings if finding.level == "fault"]
 
 
@@ -44,16 +44,16 @@ def examine(
     mass: float | Sequence[float] | None = None,
     gap: float = 10.0,
 ) -> Examined:
-    """Return all that is wrong with files.
+    """Find all defects of files.
 
     Args:
-        paths: of the files.
-        reading: how they are read.
+        paths: paths of the files.
+        reading: reading options.
         mass: factor m of p = m dq/dt.
-        gap: a step so many times longer than the median is one.
+        gap: multiple of the median step that counts as a gap.
 
     Raises:
-        UserError: there is no such file.
+        UserError: a file is missing.
     """
     said: list[Fault | Remark] = []
     contents: list[Content] = []
@@ -72,12 +72,12 @@ def examine(
 
 
 def diagnosis(contents: Sequence[Content], mass: float | Sequence[float] | None, gap: float) -> list[Finding]:
-    """Return what is wrong with the content of files that could be read.
+    """Find the defects in the content of readable files.
 
     Args:
-        contents: of the files.
-        mass: factor m of p = m dq/dt; None where nobody said.
-        gap: a step so many times longer than the median is one.
+        contents: contents of the files.
+        mass: factor m of p = m dq/dt; None if unspecified.
+        gap: multiple of the median step that counts as a gap.
     """
     found: list[Finding] = list(too_few(contents))
     for content in contents:
@@ -96,7 +96,7 @@ def diagnosis(contents: Sequence[Content], mass: float | Sequence[float] | None,
 
 
 def clash(first: Content, other: Content) -> list[Finding]:
-    """Return in what a file differs from the first, with which it would be read."""
+    """Describe how a file differs from the first one, with which it would be read."""
     wrong = [name for name in KINDS if getattr(first, name) != getattr(other, name)]
     expected = f"the {', '.join(wrong)} of {first.tracks[0].file}"
     place = Place(other.tracks[0].file, other.head)

@@ -1,4 +1,4 @@
-"""What a doctor of data finds: where it is, what it is, and what to do."""
+"""Findings of the data doctor: location, description and remedy."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from typing import Literal, NamedTuple
 from ahnn.data.files.table import Fault, Remark
 
 Level = Literal["fault", "warning", "note"]
-"""A fault would spoil a training, a warning may, a note is good to know."""
+"""Severity levels: a fault would spoil a training, a warning may, a note is informative."""
 
 
 class Finding(NamedTuple):
-    """Something about a place of a file.
+    """Finding at a place in a file.
 
     Attributes:
-        level: how bad it is.
-        file: its name.
-        row: number of the line or record; 0 where it is the file or the column as a whole.
-        column: name of the column, "" where it is none.
-        what: is the matter.
-        remedy: what to do.
+        level: severity.
+        file: file name.
+        row: line or record number; 0 for the whole file or column.
+        column: column name, or "".
+        what: description of the defect.
+        remedy: remedy.
     """
 
     level: Level
@@ -31,7 +31,7 @@ class Finding(NamedTuple):
 
     @classmethod
     def of(cls, said: Fault | Remark) -> Finding:
-        """Return what a reader refuses or remarks on."""
+        """Convert a reader's fault or remark to a finding."""
         if isinstance(said, Remark):
             return cls(said.level, *said.place, said.what, said.remedy or "Nothing")
         what = f"expected {said.expected}; received {said.received}"

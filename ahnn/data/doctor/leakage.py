@@ -1,4 +1,4 @@
-"""Samples that occur in two trajectories: what training sees of one is then a test of nothing."""
+"""Data leakage: samples that occur in two trajectories, which would invalidate a test."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from ahnn.data.doctor.finding import Finding
 from ahnn.data.files.samples import Track
 
 RUN = 8
-"""Samples in a row that have to be the same, or whole trajectories that are shorter: few may be by chance."""
+"""Minimum number of equal consecutive samples (or a whole trajectory): a few may be equal by chance."""
 LEAST = 3
-"""Samples of a trajectory that is compared at all."""
+"""Number of samples of a trajectory that are compared."""
 
 
 def leakage_findings(tracks: list[Track]) -> list[Finding]:
-    """Return where trajectories, of one file or of several, begin to share samples, number for number.
+    """Find where trajectories, of one or several files, begin to share identical samples.
 
     Args:
-        tracks: of all files.
+        tracks: tracks of all files.
     """
     keys = [runs(track) for track in tracks]
     flat = np.concatenate(keys) if keys else np.zeros(0, dtype=np.uint64)
@@ -35,15 +35,15 @@ def leakage_findings(tracks: list[Track]) -> list[Finding]:
 
 
 def finding(one: Track, other: Track, at: int, first: int) -> Finding:
-    """Return that a track repeats another."""
+    """Build the finding that a track repeats another."""
     name = f" of trajectory {one.name}" if one.name else ""
     what = f"the samples from here on are those from row {one.rows[first]} of {one.file}{name}"
     return Finding("fault", other.file, int(other.rows[at]), "", what, "Keep one of the two trajectories")
 
 
 def runs(track: Track) -> NDArray[np.uint64]:
-    """Return a key for each run of samples; 0 where they do not change or a number is missing."""
-    values = np.ascontiguousarray(track.values + 0.0)  # so that -0 is 0
+    """Return a key for each run of samples; 0 for constant samples or missing numbers."""
+    values = np.ascontiguousarray(track.values + 0.0)  # maps -0 to 0
     if len(values) < LEAST:
         return np.zeros(0, dtype=np.uint64)
     length = min(RUN, len(values))

@@ -1,7 +1,7 @@
-"""Whether an orbit is one of the body that it is said to circle: vis viva and frames, from positions alone.
+"""Tests of orbits for wrong units or frames, from accelerations derived from positions.
 
-Of each hypothesis on unit and frame the acceleration is held against mu/r^2; those of other units and frames
-differ by factors, so that at most one of them fits.
+For each hypothesis on unit and frame the acceleration is compared with mu/r^2; hypotheses differ by factors,
+so that at most one fits.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ MU = {
 }
 """Gravitational parameters in km^3/s^2 (JPL DE440)."""
 EXACT = 0.02
-"""Relative difference of accelerations that needs no explanation: perturbations are smaller."""
+"""Relative difference of accelerations that is attributed to perturbations."""
 FITS = 0.1
-"""Difference up to which another hypothesis explains an orbit, if it is much smaller than the one at hand."""
+"""Maximum difference of another hypothesis, which must also be much smaller than that of the stated one."""
 UNCLEAR = 0.15
-"""Doubt of the accelerations beyond which nothing is said."""
+"""Uncertainty of the accelerations above which no statement is made."""
 LENGTHS = {
     1.0: "",
     1e-3: "positions are 1000 times too large (m as km?)",
@@ -48,16 +48,16 @@ TIMES = {
     1 / 60: "times are 60 times too large (s as min?)",
     1 / 3600: "times are 3600 times too large (s as h?)",
 }
-"""Factors that make an orbit of it, and what they mean."""
+"""Correction factors that make a track an orbit, with their meaning."""
 TURNS = {False: "positions are those of an inertial frame", True: "positions turn with the Earth"}
 
 
 def orbit_findings(content: Content, tracks: list[Track]) -> list[Finding]:
-    """Return what is wrong with units or frame of orbits; nothing where they circle no known body.
+    """Find wrong units or frames of orbits; empty for orbits around unknown bodies.
 
     Args:
-        content: of the file.
-        tracks: those that are judged.
+        content: content of the file.
+        tracks: tracks to be tested.
     """
     length, clock = unit(content.units.position), unit(content.units.time)
     if len(content.positions) != 3 or length.dimension != LENGTH or clock.dimension != TIME:
@@ -81,18 +81,18 @@ def orbit_findings(content: Content, tracks: list[Track]) -> list[Finding]:
 
 
 def words(frame: str) -> list[str]:
-    """Return the words of the name of a frame."""
+    """Split the name of a frame into words."""
     return frame.upper().replace(",", " ").split()
 
 
 def hypothesis(times: Array, positions: Array, body: str | None, *, turning: bool) -> str:
-    """Return under which mistake positions in km at times in s are an orbit; "" for none, and for no orbit.
+    """Return the unit or frame mistake that explains an orbit (km, s); "" for none, or for no orbit.
 
     Args:
-        times: (T,).
-        positions: (T, 3).
-        body: that they circle; None takes any, and mistakes are those of orbits of the Earth.
-        turning: whether the frame is said to rotate with the Earth.
+        times: (T,) in s.
+        positions: (T, 3) in km.
+        body: central body; None for any, with mistakes tested for Earth orbits.
+        turning: whether the stated frame rotates with the Earth.
     """
     mu = [MU[body or "EARTH"]]
     here = misfit(times, positions, mu, turned=turning)
@@ -107,13 +107,13 @@ def hypothesis(times: Array, positions: Array, body: str | None, *, turning: boo
 
 
 def misfit(times: Array, positions: Array, bodies: Collection[float], *, turned: bool) -> float:
-    """Return how far accelerations are from an attraction mu/r^2, relative; infinite where nobody knows.
+    """Return the relative misfit of accelerations to mu/r^2; infinite if undetermined.
 
     Args:
         times: (T,), s.
         positions: (T, 3), km.
-        bodies: their mu in km^3/s^2, of which the best counts.
-        turned: whether they are turned from a frame that rotates with the Earth first.
+        bodies: values of mu in km^3/s^2, of which the best is used.
+        turned: whether to transform positions from an Earth-rotating frame first.
     """
     if turned:
         c, s = np.cos(TURN * times), np.sin(TURN * times)

@@ -1,4 +1,4 @@
-"""What is missing among samples, what never changes, and angles that swing over more than a turn."""
+"""Tests of samples: missing values, gaps, constant columns, outliers, wide angles, noise."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from ahnn.data.files.units import ANGLE, unit
 from ahnn.data.noise_floor import ORDERS, SHARE, differences_level, looked_at, noise_floor
 
 FAR = 30.0
-"""Doubts of the curve through its neighbours beyond which a sample is an outlier."""
+"""Deviation from the local polynomial, in units of its uncertainty, beyond which a sample is an outlier."""
 EVEN, LEAST = 0.1, 1e-6
-"""Of an outlier: by what its neighbours may differ, and its least size relative to all samples."""
+"""Outlier criteria: maximum difference of neighbours, and minimum size relative to all samples."""
 EXAMPLES = 64
-"""Trajectories of a file whose noise is looked at."""
+"""Number of trajectories of a file whose noise is estimated."""
 
 
 def sample_findings(content: Content, gap: float) -> Iterator[Finding]:
-    """Yield missing numbers, gaps, constant columns, angles that swing too far, and noise.
+    """Yield findings on missing numbers, gaps, constant columns, wide angles, and noise.
 
     Args:
-        content: of a file.
-        gap: a step so many times longer than the median is one, where samples lie on no grid.
+        content: content of a file.
+        gap: multiple of the median step that counts as a gap, for samples not on a grid.
     """
     names = (*content.positions, *content.rates)
     for track in content.tracks:
@@ -42,14 +42,14 @@ def sample_findings(content: Content, gap: float) -> Iterator[Finding]:
 
 
 def missing(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
-    """Yield each number that is missing."""
+    """Yield a finding for each missing number."""
     for k, c in zip(*np.nonzero(np.isnan(track.values)), strict=True):
         remedy = "Nothing: the sample counts as absent"
         yield Finding("warning", track.file, int(track.rows[k]), names[c], "a missing number", remedy)
 
 
 def gaps(track: Track, column: str, gap: float) -> Iterator[Finding]:
-    """Yield the samples before which others are missing."""
+    """Yield a finding for each sample after a gap."""
     try:
         rows = filled(track, gap).rows
     except Fault as fault:
@@ -64,7 +64,7 @@ def gaps(track: Track, column: str, gap: float) -> Iterator[Finding]:
 
 
 def constant(content: Content, names: tuple[str, ...]) -> Iterator[Finding]:
-    """Yield columns that have one value in the whole file: of such a position nothing is learned."""
+    """Yield findings on columns constant in the whole file, which provide no information."""
     values = np.concatenate([track.values for track in content.tracks])
     if len(values) < 3:
         return
@@ -77,7 +77,7 @@ def constant(content: Content, names: tuple[str, ...]) -> Iterator[Finding]:
 
 
 def too_few(contents: Sequence[Content]) -> Iterator[Finding]:
-    """Yield that files together have nothing to learn from, or nothing to test what was learned with."""
+    """Yield findings on too few data for training or test in all files."""
     tracks = [track for content in contents for track in content.tracks]
     if not tracks:
         return
@@ -91,7 +91,7 @@ def too_few(contents: Sequence[Content]) -> Iterator[Finding]:
 
 
 def outliers(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
-    """Yield single samples far from the polynomials through their neighbours, where these agree."""
+    """Yield isolated samples far from the polynomials through their neighbours, if these agree."""
     count = len(track.times)
     if count < 11:
         return
@@ -100,11 +100,11 @@ def outliers(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
     left = track.values[at] - near[0]
     off = np.abs(left)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # of columns without a number
+        warnings.simplefilter("ignore", RuntimeWarning)  # columns without a number
         typical, size = np.nanmedian(off, axis=0), np.nanmax(np.abs(track.values), axis=0)
     doubt = np.abs(near[0] - near[1]) + 0.1 * np.abs(near[1] - near[2]) + typical
     before, behind = np.roll(left, 1, axis=0), np.roll(left, -1, axis=0)
-    alone = np.abs(before - behind) < EVEN * off  # a jump, behind which samples go on, is none
+    alone = np.abs(before - behind) < EVEN * off  # a jump with continuing samples is not an outlier
     highest = (off > np.abs(before)) & (off > np.abs(behind))
     far = alone & highest & (off > FAR * doubt) & (off > LEAST * size)
     for k, c in zip(*np.nonzero(far), strict=True):
@@ -114,7 +114,7 @@ def outliers(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
 
 
 def too_wide(content: Content) -> Iterator[Finding]:
-    """Yield angles that swing to and fro over more than a turn: degrees, most likely."""
+    """Yield findings on angles that oscillate over more than one turn, which are probably degrees."""
     for c, name in enumerate(content.positions):
         for track in content.tracks:
             angle = track.values[np.isfinite(track.values[:, c]), c]
@@ -129,7 +129,7 @@ def too_wide(content: Content) -> Iterator[Finding]:
 
 
 def noise(content: Content, names: tuple[str, ...], gap: float) -> Iterator[Finding]:
-    """Yield the level of the noise of each column that has some."""
+    """Yield the noise level of each noisy column."""
     every = max(1, len(content.tracks) // EXAMPLES)
     try:
         some = stacked([filled(track, gap) for track in content.tracks[::every]])

@@ -1,4 +1,4 @@
-"""Derivatives of samples and how far they can be trusted, from polynomials through neighbouring samples."""
+"""Derivatives of samples and their uncertainty, from polynomials through neighbouring samples."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from numpy.typing import NDArray
 from ahnn.data.files.samples import Array
 
 CENTRES = 64
-"""Samples of a trajectory at which derivatives are taken."""
+"""Number of samples of a trajectory where derivatives are computed."""
 LEAST = 12
-"""Derivatives that a longer stride has to leave, so that none is chosen by chance."""
+"""Minimum number of derivatives for a longer stride, so that none is chosen by chance."""
 WIDE = 3.0
-"""A stencil so many times wider than most lies across a gap."""
+"""Multiple of the typical width above which a stencil spans a gap."""
 
 
 CLOSE = 1e-12
-"""Distance of two samples, as a fraction of a stencil, within which no polynomial goes through both."""
+"""Minimum distance of two samples, as a fraction of a stencil, for a polynomial through both."""
 
 
 class Slopes(NamedTuple):
-    """Derivatives of samples, and how much stencils of three and of five points differ in them.
+    """Derivatives of samples, and differences between three- and five-point stencils.
 
     Attributes:
-        at: (K,) numbers of the samples.
-        values, doubts: (K, C).
+        at: (K,) sample indices.
+        values, doubts: (K, C) derivatives and their uncertainties.
     """
 
     at: NDArray[np.int64]
@@ -36,7 +36,7 @@ class Slopes(NamedTuple):
 
     @property
     def doubt(self) -> float:
-        """Typical doubt relative to the typical size."""
+        """Typical uncertainty relative to the typical size."""
         sizes = [np.linalg.norm(part, axis=1) for part in (self.doubts, self.values)]
         known = np.isfinite(sizes[0])
         if not known.any():
@@ -46,15 +46,15 @@ class Slopes(NamedTuple):
 
 
 def slopes(times: Array, values: Array, order: int) -> Slopes | None:
-    """Return derivatives over the stride that makes three and five points differ least.
+    """Return derivatives for the stride with the least difference of three and five points.
 
-    Near neighbours show the noise, far ones the curvature of the motion; where neither is small the doubts
-    say so. None where there are fewer than seven samples.
+    Short strides amplify noise, long ones the curvature of the motion; the uncertainties include both.
+    Returns None for fewer than seven samples.
 
     Args:
-        times: (T,), increasing.
-        values: (T, C), NaN where a number is missing.
-        order: 1 or 2.
+        times: (T,) increasing times.
+        values: (T, C) values, NaN where missing.
+        order: order of the derivative, 1 or 2.
     """
     if len(times) < 7:
         return None
@@ -64,7 +64,7 @@ def slopes(times: Array, values: Array, order: int) -> Slopes | None:
 
 
 def over(times: Array, values: Array, stride: int, order: int) -> Slopes:
-    """Return derivatives from samples so many apart."""
+    """Return derivatives from samples at a given stride."""
     inner = np.arange(2 * stride, len(times) - 2 * stride)
     at = inner[:: max(1, len(inner) // CENTRES)]
     window = at[:, None] + stride * np.arange(-2, 3)
@@ -80,7 +80,7 @@ def over(times: Array, values: Array, stride: int, order: int) -> Slopes:
 def weights(offsets: Array, order: int) -> Array:
     """Return weights (K, P) of a derivative at zero of the polynomials through points at offsets (K, P).
 
-    NaN where two of the points, which are in their order, meet.
+    NaN where two of the ordered points coincide.
     """
     size = np.abs(offsets).max(axis=1, keepdims=True)
     powers = (offsets / size)[:, None, :] ** np.arange(offsets.shape[1])[:, None]
@@ -94,12 +94,12 @@ def weights(offsets: Array, order: int) -> Array:
 
 
 def roughness(times: Array, values: Array, at: NDArray[np.int64]) -> Array:
-    """Return how far samples (K, C) are from the cubic through the two before and the two behind them."""
+    """Return the distance of samples (K, C) from the cubic through two neighbours on each side."""
     return np.abs(through_neighbours(times, values, at, 2) - values[at])
 
 
 def through_neighbours(times: Array, values: Array, at: NDArray[np.int64], count: int) -> Array:
-    """Return what the polynomials through so many samples before and behind others say of them, (K, C)."""
+    """Return interpolated values from polynomials through neighbours on both sides, (K, C)."""
     window = at[:, None] + np.delete(np.arange(-count, count + 1), count)
     offsets = times[window] - times[at, None]
     return np.einsum("kj,kjc->kc", weights(offsets, 0), values[window])

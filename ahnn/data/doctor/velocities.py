@@ -1,4 +1,4 @@
-"""Whether velocities are the derivatives of their positions: the test of units, of momenta and of frames."""
+"""Comparison of velocities with derivatives of positions: tests of units, momenta and frames."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from ahnn.data.files.samples import Array, Track
 from ahnn.data.files.units import LENGTH, unit
 
 EXACT = 0.03
-"""Relative difference that needs no explanation."""
+"""Relative difference that is tolerated."""
 DOUBTS = 8.0
-"""Doubts of the derivatives, and of the velocities, that explain a difference.
+"""Multiple of the uncertainties of derivatives and velocities that explains a difference.
 
-Noise moves a derivative by 3.6 times what it moves the difference between stencils of five and three points.
+Noise changes a derivative by 3.6 times its effect on the difference between five- and three-point stencils.
 """
 OF_SPEED = 0.01
-"""Difference relative to the speed of an orbit that needs none: theories such as SGP4 differ by so much."""
+"""Tolerated difference relative to orbital speed: theories such as SGP4 differ by this amount."""
 UNCLEAR = 0.1
-"""Doubt beyond which nothing is said."""
+"""Uncertainty above which no statement is made."""
 LEAST = 8
-"""Samples of a trajectory that is judged by itself; shorter ones are judged together."""
+"""Minimum number of samples for testing a trajectory individually; shorter ones are pooled."""
 FACTORS = {
     1000.0: "metres given as km, or the reverse",
     60.0: "minutes given as s, or the reverse",
@@ -37,7 +37,7 @@ FACTORS = {
 
 
 class VelocityComparison(NamedTuple):
-    """Stated velocities, derivatives of the positions at the same samples, and doubts of both, (K, n)."""
+    """Stated velocities, position derivatives at the same samples, and uncertainties of both, (K, n)."""
 
     stated: Array
     derived: Array
@@ -45,12 +45,12 @@ class VelocityComparison(NamedTuple):
 
 
 def velocity_findings(content: Content, tracks: list[Track], mass: float | Sequence[float]) -> list[Finding]:
-    """Return what is wrong with the velocities, or with momenta over the mass, of some tracks of a file.
+    """Find wrong velocities, or wrong momenta over mass, in tracks of a file.
 
     Args:
-        content: of the file.
-        tracks: those that are judged.
-        mass: factor of momenta, or one for each coordinate.
+        content: content of the file.
+        tracks: tracks to be tested.
+        mass: factor of momenta, common or per coordinate.
     """
     n = len(content.positions)
     if len(content.rates) != n:
@@ -66,24 +66,24 @@ def velocity_findings(content: Content, tracks: list[Track], mass: float | Seque
 
 
 def compared(track: Track, n: int, scale: Array) -> VelocityComparison | None:
-    """Return stated and derived velocities of a track; None where it is too short.
+    """Return stated and derived velocities of a track; None if it is too short.
 
     Args:
-        track: of positions, and of velocities or momenta.
-        n: coordinates.
-        scale: by which momenta are velocities, () or (n,).
+        track: track of positions, and of velocities or momenta.
+        n: number of coordinates.
+        scale: factor from momenta to velocities, () or (n,).
     """
     found: Slopes | None = slopes(track.times, track.values[:, :n], 1)
     if found is None:
         return None
     stated = scale * track.values[:, n:]
     doubts = found.doubts + roughness(track.times, stated, found.at)
-    known = np.isfinite(doubts).all(1)  # they hold all samples that the derivatives hold
+    known = np.isfinite(doubts).all(1)  # they contain all samples of the derivatives
     return VelocityComparison(stated[found.at][known], found.values[known], doubts[known])
 
 
 def of_component(content: Content, c: int, pairs: list[tuple[Track, VelocityComparison]]) -> list[Finding]:
-    """Return a finding for each track whose velocity is wrong; a single one where nearly all are."""
+    """Return a finding for each track with a wrong velocity; a single one if nearly all are wrong."""
     orbit = len(content.positions) == 3 and unit(content.units.position).dimension == LENGTH
     judged = [(track, ratio) for track, one in pairs if (ratio := misfit(one, c, orbit=orbit)) is not None]
     wrong = [(track, ratio) for track, ratio in judged if ratio != 1]
@@ -96,9 +96,9 @@ def of_component(content: Content, c: int, pairs: list[tuple[Track, VelocityComp
 
 
 def misfit(one: VelocityComparison, c: int, *, orbit: bool = False) -> float | None:
-    """Return 1 where a velocity is right, else its ratio to the derivative (0: they are not proportional).
+    """Return 1 for a correct velocity, else its ratio to the derivative (0 if not proportional).
 
-    None where nothing can be said. Components of an orbit are judged by its speed, too.
+    Returns None if undetermined. Components of an orbit are also compared with its speed.
     """
     exact = OF_SPEED * float(np.median(np.linalg.norm(one.derived, axis=1))) if orbit else 0.0
     stated, derived, doubts = (part[:, c] for part in one)
@@ -117,7 +117,7 @@ def misfit(one: VelocityComparison, c: int, *, orbit: bool = False) -> float | N
 
 
 def weighted_median(stated: Array, derived: Array) -> float:
-    """Return the median of the ratios, each as heavy as its derivative is large."""
+    """Return the median of the ratios, weighted by the size of the derivative."""
     used = derived != 0
     if not used.any():
         return 0.0
@@ -128,7 +128,7 @@ def weighted_median(stated: Array, derived: Array) -> float:
 
 
 def finding(content: Content, c: int, file: str, row: int, ratio: float) -> Finding:
-    """Return what the ratio of a velocity to the derivative of its position means."""
+    """Build the finding for a ratio of velocity to position derivative."""
     name, position, per = content.rates[c], content.positions[c], content.units.time
     level: Level = "warning" if content.momenta else "fault"
     kind = f"{name} over the mass" if content.momenta else name

@@ -1,4 +1,4 @@
-"""Trajectories and measurements from files: a pure parser for each format, and the source on top of them."""
+"""Trajectories and measurements from files: a parser for each format, and the data source."""
 
 from __future__ import annotations
 

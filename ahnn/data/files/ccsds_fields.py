@@ -1,4 +1,4 @@
-"""Orbit messages of CCSDS that are one list of fields (OPM, OMM), in keyword = value notation and in XML."""
+"""CCSDS orbit messages that are lists of fields (OPM, OMM), in keyword = value notation and XML."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STRUCTURE = (
     *("keplerianElements", "spacecraftParameters", "covarianceMatrix", "maneuverParameters", "tleParameters"),
     "userDefinedParameters",
 )
-"""Elements that hold others."""
+"""Container elements."""
 VERSIONS = ("1.0", "2.0", "3.0")
 
 
@@ -26,11 +26,11 @@ class FieldMessage:
     """Fields of a message.
 
     Attributes:
-        place: where it begins.
-        about: what it is.
+        place: begin of the message.
+        about: description of the message.
         values: texts by keyword.
-        rows: numbers of their lines.
-        units: that stand behind them.
+        rows: line numbers.
+        units: units given with the values.
         repeated: keywords of blocks that may occur several times, such as those of manoeuvres.
     """
 
@@ -42,11 +42,11 @@ class FieldMessage:
     repeated: dict[str, None] = field(default_factory=dict)
 
     def at(self, key: str) -> Place:
-        """Return where a field stands."""
+        """Return the place of a field."""
         return self.place._replace(row=self.rows.get(key, self.place.row), column=key)
 
     def add(self, key: str, value: str, unit: str | None, place: Place) -> None:
-        """Add a field; raises UserError for one that is there already."""
+        """Add a field; raises UserError for a duplicate."""
         if key == "COMMENT":
             return
         if key.startswith(("MAN_", "USER_DEFINED")):
@@ -59,32 +59,32 @@ class FieldMessage:
                 self.units[key] = unit
 
     def text(self, key: str) -> str:
-        """Return a field that must be there; raises UserError."""
+        """Return a required field; raises UserError."""
         return self.values.get(key) or self.at(key).refuse(f"a value in {self.about}", "none")
 
     def require_units(self, expected: Callable[[str], str]) -> None:
-        """Refuse other units than the standard has; raises UserError."""
+        """Raise UserError for units other than those of the standard."""
         for key, unit in self.units.items():
             plain = unit.replace(" ", "").lower().replace("^", "**")
             if (wanted := expected(key)) and plain != wanted:
                 self.at(key).refuse(f"units {wanted}", repr(unit))
 
     def unknown(self, known: Sequence[str]) -> list[str]:
-        """Return what is said of keywords that the standard does not have."""
+        """Return a remark on keywords absent from the standard."""
         every = (*known, *HEADER)
         return [f"{key}{nearest(key, every)}" for key in self.values if key not in every]
 
 
 def field_messages(text: str, file: str, name: str) -> list[FieldMessage]:
-    """Return the messages of a text.
+    """Parse the messages of a text.
 
     Args:
-        text: of a message, or of several in one NDM.
-        file: its name.
+        text: text of a message, or of several in one NDM.
+        file: file name.
         name: OPM or OMM.
 
     Raises:
-        UserError: another message, or what is no field.
+        UserError: another message type, or an invalid field.
     """
     if text.lstrip().startswith("<"):
         return _of_xml(text, file, name)
@@ -116,7 +116,7 @@ def _require_version(text: str, name: str, place: Place) -> None:
 
 
 def _of_xml(text: str, file: str, name: str) -> list[FieldMessage]:
-    """Return the messages of XML; raises UserError."""
+    """Parse the messages of XML; raises UserError."""
     found: list[FieldMessage] = []
     path: list[str] = []
     texts: list[str] = []

@@ -1,4 +1,4 @@
-"""What the columns of a file mean: time, trajectory, positions, velocities or momenta, and controls."""
+"""Column roles of a file: time, trajectory id, positions, velocities or momenta, and controls."""
 
 from __future__ import annotations
 
@@ -21,40 +21,40 @@ NAMES: dict[Kind, tuple[str, ...]] = {
     ),
     "momenta": ("p{}", "mom{}", "momentum{}", "{}mom", "{}momentum"),
 }
-"""Names of the velocity and of the momentum of a position, in small letters and without underscores."""
+"""Names of the velocity and momentum of a position, in lower case and without underscores."""
 OF_ANGLES = ("w{}", "omega{}", "angularvelocity{}")
 COORDINATE = re.compile(r"(?P<stem>q|x|(?P<angle>theta|phi|psi|alpha|angle))(?P<index>\d*)")
-"""Positions whose velocity may have its index alone: v1 of q1, omega of theta."""
+"""Positions whose velocity may be named by its index: v1 for q1, omega for theta."""
 PLACED = re.compile(r"(position|pos|r|q)(?P<of>.*)")
-"""Positions that say so: their velocity is vx where they are rx or position_x."""
+"""Prefixes of position names: the velocity of rx or position_x is vx."""
 DEVIATIONS = "sd_"
-"""How the names of standard deviations begin, which a training is told as data.noise."""
+"""Prefixes of standard deviation names, which a training receives as data.noise."""
 CONTROL = re.compile(r"u\d*|(control|input|torque|command|cmd)(_?\w+)?")
-"""Names of numbers that are set from outside, where there are positions beside them."""
+"""Names of control columns, if positions are also present."""
 NO_POSITION = re.compile(
     r"[vpw]_?([xyzq]?_?\d*)|d_?[xyzq]_?\d*|omega.*|.*dot|.*(vel|velocity|mom|momentum)|(vel|mom|speed).*"
     r"|d.+dt|a_?[xyz]|.*acc|acc.*|(std|sigma|err|cov|var)_.*|.*_(sd|std|sigma|err)|.*'"
     r"|index|step|row|sample|energy|mass|unnamed.*"
 )
-"""Names that no position has by itself: a sidecar may say so."""
+"""Names that are not positions unless a sidecar defines them as such."""
 
 
 def control_named(name: str, controls: Sequence[str]) -> str:
-    """Return the name of a column; that of the only control where it is one that a control may have."""
+    """Return the canonical name of a column; for a single control any control name is accepted."""
     usual = len(controls) == 1 and CONTROL.fullmatch(name.lower())
     return controls[0] if usual else name
 
 
 class Roles(NamedTuple):
-    """Numbers of columns.
+    """Column indices by role.
 
     Attributes:
-        time: of the time.
-        id: of what tells trajectories apart; None where there is one.
-        positions: of the n positions.
-        rates: of the n velocities or momenta, in the order of the positions; none where they are unknown.
-        kind: what the rates are.
-        controls: of the numbers that are set from outside.
+        time: column of the time.
+        id: column of the trajectory id; None for a single trajectory.
+        positions: columns of the n positions.
+        rates: columns of the n velocities or momenta, in the order of the positions; empty if unknown.
+        kind: velocity or momentum.
+        controls: columns of the controls.
     """
 
     time: int
@@ -65,7 +65,7 @@ class Roles(NamedTuple):
     controls: tuple[int, ...] = ()
 
     def of(self, column: int) -> str:
-        """Return what a column is."""
+        """Return the role of a column."""
         if column in (self.time, self.id):
             return "time" if column == self.time else "id"
         rate = "velocity" if self.kind == "velocities" else "momentum"
@@ -74,19 +74,19 @@ class Roles(NamedTuple):
 
 
 def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
-    """Return the roles of columns, as a sidecar names them or by their names, in small letters or capitals.
+    """Determine the roles of columns from a sidecar or from their names, in any case.
 
-    By name `t` or `time` is the time and `id` or `trajectory` tells trajectories apart; `rates_of` says which
-    are velocities and momenta, standard deviations begin with `sd_`, `CONTROL` says which are controls,
-    and all others are positions.
+    By name, `t` or `time` is the time and `id` or `trajectory` the trajectory id; `rates_of` defines
+    velocities and momenta, standard deviations begin with `sd_`, `CONTROL` defines controls, and all others
+    are positions.
 
     Args:
-        header: of the file.
-        named: from roles to names of columns, as in a sidecar; then other columns are left out.
-        place: of the header.
+        header: header of the file.
+        named: mapping from roles to column names, as in a sidecar; other columns are then ignored.
+        place: place of the header.
 
     Raises:
-        UserError: a column that is missing, that has no counterpart, or whose name is not that of a position.
+        UserError: a missing column, a column without counterpart, or a name that is not that of a position.
     """
     names = header.names
     if named:
@@ -122,14 +122,14 @@ def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
 
 
 def is_deviation(name: str) -> bool:
-    """Return whether a column is a standard deviation of another, by its name."""
+    """Return whether a column is, by its name, a standard deviation of another."""
     return name.lower().startswith(DEVIATIONS)
 
 
 def partner(names: tuple[str, ...], column: int, rest: list[int]) -> tuple[int, Kind] | None:
-    """Return the position whose velocity or momentum a column is, and which of them; None for a position.
+    """Return the position of a velocity or momentum column, and which of the two; None for a position.
 
-    Names are compared as they are spelled first, and then in small letters.
+    Names are first compared with case, then in lower case.
     """
     for fold in (str, str.lower):
         own = bare(fold(names[column]))
@@ -141,12 +141,12 @@ def partner(names: tuple[str, ...], column: int, rest: list[int]) -> tuple[int, 
 
 
 def bare(name: str) -> str:
-    """Return a name without underscores, a dot above its letter as a word behind it."""
+    """Return a name without underscores, with a dot accent written as a suffix."""
     return unicodedata.normalize("NFD", name).replace("\u0307", "dot").replace("_", "")
 
 
 def rates_of(position: str) -> dict[Kind, set[str]]:
-    """Return what the velocity and the momentum of a position may be called, without underscores."""
+    """Return the possible names of a position's velocity and momentum, without underscores."""
     found: dict[Kind, set[str]] = {kind: {name.format(position) for name in NAMES[kind]} for kind in NAMES}
     if indexed := COORDINATE.fullmatch(position):
         found["velocities"] |= {name.format(indexed["index"]) for name in ("v{}", "vel{}", "velocity{}")}
@@ -160,10 +160,11 @@ def rates_of(position: str) -> dict[Kind, set[str]]:
 
 
 def of_sidecar(names: tuple[str, ...], named: dict[str, Any], place: Place) -> Roles:
-    """Return the roles that a sidecar names.
+    """Return the roles defined by a sidecar.
 
     Raises:
-        UserError: an unknown role or column, one in two roles, or not as many rates as positions.
+        UserError: an unknown role or column, a column in two roles, or unequal numbers of rates and
+            positions.
     """
     found: dict[str, list[int]] = {}
     for role, value in named.items():

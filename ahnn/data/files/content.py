@@ -1,4 +1,4 @@
-"""What a reader finds in a file, whatever its format."""
+"""Format-independent content of a data file."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from ahnn.types import Units
 
 
 class Column(NamedTuple):
-    """What a column of a file was taken for.
+    """Interpretation of a column.
 
     Attributes:
-        name: of the column.
-        role: time, id, position, velocity, momentum, control or left out.
-        unit: of its numbers, or the clock of its epochs; "" without.
+        name: name of the column.
+        role: time, id, position, velocity, momentum, control or ignored.
+        unit: unit of its numbers, or time scale of its epochs; "" for none.
     """
 
     name: str
@@ -29,18 +29,18 @@ class Content(NamedTuple):
     """Tracks of positions, or of positions and their rates, in the units of a space.
 
     Attributes:
-        positions, rates: names of the columns; no rates where they are unknown.
-        momenta: whether the rates are momenta, and not velocities.
-        units: of the space.
-        frame: in which positions are given, "" where nobody said.
-        tracks: the trajectories.
-        epoch: at which their times are zero (`epochs.instant`); None where times are numbers.
-        clock: of the epoch, such as UTC.
-        time: name of the column of the times.
-        head: number of the line that names the columns; 0 where none does.
-        columns: what each column was taken for; none where the format says it.
-        controls: names of the columns of numbers set from outside; tracks have them.
-        linear: whether controls are interpolated linearly between samples; else they are held.
+        positions, rates: column names; rates are empty if unknown.
+        momenta: whether the rates are momenta instead of velocities.
+        units: units of the space.
+        frame: reference frame of the positions, "" if unspecified.
+        tracks: trajectories.
+        epoch: epoch of time zero (`epochs.instant`); None for numeric times.
+        clock: time scale of the epoch, such as UTC.
+        time: name of the time column.
+        head: line number of the header; 0 without header.
+        columns: interpretation of each column; empty for self-describing formats.
+        controls: names of the control columns, whose values are in the tracks.
+        linear: whether controls are interpolated linearly between samples instead of held.
     """
 
     positions: tuple[str, ...]
@@ -65,14 +65,14 @@ class Content(NamedTuple):
 
 
 def joined(parts: list[Content], places: list[Place]) -> Content:
-    """Return the segments of a file as one content, its times from the first epoch.
+    """Merge the segments of a file, with times since the first epoch.
 
     Args:
-        parts: of one frame, centre and time system each.
-        places: of the segments.
+        parts: contents, each with its frame, centre and time scale.
+        places: places of the segments.
 
     Raises:
-        UserError: segments that differ in them.
+        UserError: segments with different frames, centres or time scales.
     """
     first = parts[0]
     names = [part.frame.split(", ") for part in parts]
@@ -95,7 +95,7 @@ def since_first(contents: list[Content]) -> list[Content]:
 
 
 def counted(content: Content, first: int) -> Content:
-    """Return content whose times count from an epoch, where they do not count from nothing."""
+    """Shift content to times since an epoch, unless its times have no epoch."""
     if content.epoch is None:
         return content
     tracks = shifted(content, first)
@@ -105,6 +105,6 @@ def counted(content: Content, first: int) -> Content:
 
 
 def shifted(content: Content, first: int) -> tuple[Track, ...]:
-    """Return the tracks of content that has an epoch, their times from another one."""
+    """Return the tracks of content with an epoch, with times since another epoch."""
     shift = ((content.epoch or 0) - first) / epochs.SECOND / unit(content.units.time).size
     return tuple(track._replace(times=track.times + shift) for track in content.tracks)

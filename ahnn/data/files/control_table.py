@@ -1,4 +1,4 @@
-"""Controls over time in a file: a table with a column of times and one for each control."""
+"""Reading of control tables: a time column and one column per control."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from ahnn.types import Space
 
 
 def read_controls(path: Path, space: Space) -> ControlTable:
-    """Return the controls in a file, by the names that the space has for them.
+    """Read the controls in a file, by the control names of the space.
 
     Args:
-        path: of a table, CSV or Parquet; beside it a sidecar may say `controls: linear`.
+        path: path of a table, CSV or Parquet; its sidecar may contain `controls: linear`.
         space: names of the controls, and the unit of time.
 
     Raises:
-        UserError: no table, a column that is missing, or times that do not increase.
+        UserError: not a table, a missing column, or times that do not increase.
     """
     if not path.is_file():
         reason = "no regular file" if path.exists() else "No such file"
@@ -90,7 +90,7 @@ def _times(sheet: Sheet, space: Space) -> tuple[Array, str]:
 
 
 def _column(sheet: Sheet, column: int) -> Array:
-    """Return the numbers of a column, each of which must be there."""
+    """Return the numbers of a column without missing values."""
     values = numbers(sheet, column, refuse)
     for k in np.flatnonzero(np.isnan(values)):
         where = Place(sheet.place.file, int(sheet.rows[k]), sheet.header.names[column])

@@ -1,7 +1,7 @@
 """Predicted orbits of the ILRS: the Consolidated Laser Ranging Prediction Format, versions 1 and 2.
 
 Source: R. L. Ricklefs, Consolidated Laser Ranging Prediction Format, versions 1.01 and 2.00, ILRS. Positions
-are in metres in a frame that turns with the Earth, epochs in UTC.
+are in metres in an Earth-fixed frame, epochs in UTC.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ FRAMES = {
     "1": "an inertial frame, true of date",
     "2": "an inertial frame, mean of J2000",
 }
-"""Of record H2; the first alone is read."""
+"""Reference frame code of record H2; only the first is read."""
 MJD = date(1858, 11, 17).toordinal()
 """Ordinal of day 0 of the modified Julian date."""
 FIRST_DAY, LAST_DAY = 41317.0, 125000.0
-"""Days of the modified Julian date from 1972 to 2201."""
+"""Range of modified Julian dates, from 1972 to 2201."""
 FARTHEST = 2e9
-"""Metres; the Moon is at 4e8."""
+"""Maximum distance in metres; the Moon is at 4e8."""
 FASTEST = 3e5
-"""Metres a second; a body as far away, in a frame that turns with the Earth, has half of it."""
+"""Maximum speed in m/s; a body at that distance has half of it in an Earth-fixed frame."""
 UNUSED = {
     "00": "comments",
     "h3": "expected accuracies",
@@ -46,26 +46,26 @@ UNUSED = {
 
 
 def read_cpf(path: str | Path) -> Content:
-    """Return the orbit of a prediction in km, its times from its epoch.
+    """Read the orbit of a prediction in km, with times since its epoch.
 
     Raises:
-        UserError: names the line of what is wrong.
+        UserError: an error, with its line number.
     """
     path = Path(path)
     return cpf_content(decoded(content_of(path), path), str(path), weighed=False)
 
 
 def cpf_content(text: str, file: str, *, weighed: bool, note: Note = refuse) -> Content:
-    """Return the orbit of a prediction, with velocities where each position has one.
+    """Return the orbit of a prediction, with velocities if every position has one.
 
     Args:
-        text: of the file.
-        file: its name.
+        text: text of the file.
+        file: file name.
         weighed: whether a mass is stated.
-        note: of a record that is damaged, which is then left out, and of what is not used.
+        note: callback for damaged records, which are then skipped, and for unused content.
 
     Raises:
-        UserError: no orbit in a frame that is read, or what `note` raises.
+        UserError: no orbit in a supported frame, or errors of `note`.
     """
     reader = _CpfReader(file)
     for row, line in enumerate(text.split("\n"), 1):
@@ -73,7 +73,7 @@ def cpf_content(text: str, file: str, *, weighed: bool, note: Note = refuse) -> 
             try:
                 reader.record(line, Place(file, row))
             except Fault as fault:
-                if not reader.rows:  # of a head that is wrong everything is
+                if not reader.rows:  # a wrong header invalidates everything
                     raise
                 note(fault)
     if not reader.rows:
@@ -86,7 +86,7 @@ def cpf_content(text: str, file: str, *, weighed: bool, note: Note = refuse) -> 
 
 
 class _CpfReader:
-    """Records one after the other."""
+    """Sequential reader of records."""
 
     def __init__(self, file: str) -> None:
         self.file, self.name, self.headed, self.ended = file, "", False, False
@@ -119,13 +119,13 @@ class _CpfReader:
         """Read record H1: version and name of the satellite."""
         if cells[:1] not in (["CPF"], ["cpf"]) or cells[1:2] not in (["1"], ["2"], ["01"], ["02"]):
             place.refuse("CPF of version 1 or 2", repr(" ".join(cells[:2])))
-        at = 8 + int(cells[1]) - 1  # version 2 has the number of a prediction within its day
+        at = 8 + int(cells[1]) - 1  # version 2 includes the number of a prediction within its day
         if len(cells) <= at:
             place.refuse("source, date, numbers and the name of a satellite", repr(" ".join(cells)))
         self.name = cells[at]
 
     def frame(self, cells: list[str], place: Place) -> None:
-        """Read record H2: the frame; raises UserError for another than that of the Earth."""
+        """Read record H2: the frame; raises UserError for frames that are not Earth-fixed."""
         if len(cells) < 20:
             place.refuse("20 fields", f"{len(cells)}")
         if cells[18] != "0":
@@ -164,7 +164,7 @@ class _CpfReader:
         self.velocities[len(self.rows) - 1] = numbers
 
     def content(self, weighed: bool, note: Note) -> Content:
-        """Return the orbit, its times from its first epoch."""
+        """Return the orbit, with times since its first epoch."""
         start, values = self.moments[0], np.array(self.positions)
         moving = len(self.velocities) == len(self.rows)
         if moving:

@@ -1,6 +1,6 @@
 """Two-line element sets, propagated by SGP4 to trajectories in TEME.
 
-Their columns are those of Hoots and Roehrich, Spacetrack Report 3 (1980).
+The columns are defined by Hoots and Roehrich, Spacetrack Report 3 (1980).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ahnn.data.files.table import Fault, Note, Place, refuse
 
 FIRST, SECOND = re.compile(r"1 [ \dA-Z]{5}[A-Z ] "), re.compile(r"2 [ \dA-Z]{5} ")
 LENGTH = 69
-"""Signs of a line; what follows is no part of the set."""
+"""Number of characters of a line; further characters are not part of the set."""
 EPOCH = slice(18, 32)
 ANGLE = re.compile(r" *\d+\.\d*")
 FIELDS: tuple[tuple[str, int, slice, re.Pattern[str], float], ...] = (
@@ -32,15 +32,15 @@ FIELDS: tuple[tuple[str, int, slice, re.Pattern[str], float], ...] = (
     ("mean anomaly", 1, slice(43, 51), ANGLE, 360.0),
     ("mean motion", 1, slice(52, 63), ANGLE, 20.0),
 )
-"""What SGP4 reads of a set: line, columns, notation, and the largest number; type 4 is of SGP4-XP."""
+"""Fields read by SGP4: line, columns, notation, and maximum; ephemeris type 4 belongs to SGP4-XP."""
 UNUSED = (
     "not used: names, classes, designators, derivatives of the mean motion, numbers of sets and revolutions"
 )
-"""SGP4 needs none of them."""
+"""Fields not needed by SGP4."""
 
 
 class ElementSets(NamedTuple):
-    """The two lines of a set, and where the first one stands."""
+    """The two lines of a set, and the place of the first."""
 
     place: Place
     lines: tuple[str, str]
@@ -55,18 +55,18 @@ def content(
     weighed: bool,
     note: Note = refuse,
 ) -> Content:
-    """Return a trajectory for each element set, from its epoch on.
+    """Return a trajectory for each element set, starting at its epoch.
 
     Args:
         text: sets of two lines, or of three with a name before them.
-        file: its name, for messages.
-        step: between samples, in seconds.
-        duration: of each trajectory, in seconds.
+        file: file name, for messages.
+        step: seconds between samples.
+        duration: seconds of each trajectory.
         weighed: whether a mass is stated.
-        note: of a set that is damaged or cannot be propagated.
+        note: callback for sets that are damaged or cannot be propagated.
 
     Raises:
-        UserError: no step or duration, no set, or what `note` raises.
+        UserError: no step or duration, no set, or errors of `note`.
     """
     expected = "an element set, lines that begin with 1 and 2"
     read = partial(orbits_of, text, file)
@@ -75,7 +75,7 @@ def content(
 
 
 def orbits_of(text: str, file: str, model: Any, note: Note) -> Iterator[MeanOrbit]:
-    """Yield the orbit of each set; one without numbers is noted and left out."""
+    """Yield the orbit of each set; sets without numbers are noted and skipped."""
     for one in sets_of(text, file, note):
         try:
             yield MeanOrbit(one.place, one.lines[0][2:7].strip(), satellite_of(model, one), epoch(one))
@@ -84,7 +84,7 @@ def orbits_of(text: str, file: str, model: Any, note: Note) -> Iterator[MeanOrbi
 
 
 def sets_of(text: str, file: str, note: Note) -> list[ElementSets]:
-    """Return the sets of a text; lines that begin otherwise are names and remarks."""
+    """Return the sets of a text; other lines are names and comments."""
     lines = [(row, line) for row, line in enumerate(text.split("\n"), 1) if line[:2] in ("1 ", "2 ")]
     found: list[ElementSets] = []
     pending: tuple[int, str] | None = None
@@ -114,7 +114,7 @@ def sets_of(text: str, file: str, note: Note) -> list[ElementSets]:
 
 
 def fault_of(line: str, place: Place) -> Fault | None:
-    """Return what is wrong with the length or the checksum of a line, or None."""
+    """Return the error in length or checksum of a line, or None."""
     if len(line) < LENGTH:
         return Fault(place, f"{LENGTH} signs", f"{len(line)}")
     total = sum(int(sign) if sign.isdigit() else sign == "-" for sign in line[: LENGTH - 1]) % 10
@@ -126,7 +126,7 @@ def fault_of(line: str, place: Place) -> Fault | None:
 
 
 def satellite_of(model: Any, one: ElementSets) -> Any:
-    """Return the satellite of a set as SGP4 takes it; raises Fault where its lines hold no numbers."""
+    """Return the SGP4 satellite of a set; raises Fault for lines with invalid numbers."""
     for name, line, columns, notation, most in FIELDS:
         text = one.lines[line][columns]
         if not notation.fullmatch(text) or (most < math.inf and float(text.strip() or 0) > most):
@@ -139,7 +139,7 @@ def satellite_of(model: Any, one: ElementSets) -> Any:
 
 
 def epoch(one: ElementSets) -> int:
-    """Return the epoch of a set (`epochs.instant`); years from 57 on are of the last century."""
+    """Return the epoch of a set (`epochs.instant`); two-digit years from 57 on belong to the 20th century."""
     text = one.lines[0][EPOCH]
     try:
         year, day, fraction = (int(part) for part in (text[:2], text[2:5], text[6:].rstrip().ljust(8, "0")))

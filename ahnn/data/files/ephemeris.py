@@ -1,4 +1,4 @@
-"""Orbits as CCSDS ephemeris messages hold them: blocks of text, and what their numbers are."""
+"""Content of CCSDS ephemeris messages: text blocks, and their conversion to numbers."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ REQUIRED = ("OBJECT_ID", "CENTER_NAME", "REF_FRAME", "TIME_SYSTEM")
 SPANS = ("START_TIME", "STOP_TIME"), ("USEABLE_START_TIME", "USEABLE_STOP_TIME")
 USED = (*REQUIRED, "OBJECT_NAME", "REF_FRAME_EPOCH", *SPANS[0], *SPANS[1])
 UNUSED = ("INTERPOLATION", "INTERPOLATION_DEGREE")
-"""What else a message may say of a segment."""
+"""Optional metadata of a segment."""
 HEADER = ("CREATION_DATE", "ORIGINATOR", "MESSAGE_ID", "CLASSIFICATION")
 VERSIONS = ("1.0", "2.0", "3.0")
 
 
 ALONE = "Give the ephemeris alone"
 FIXED = ("EME2000", "GCRF", "ICRF")
-"""Frames to which no epoch belongs."""
+"""Frames without an epoch."""
 SLACK = epochs.SECOND // 1000
-"""By which the ends of spans may be rounded."""
+"""Tolerance for rounded ends of time spans."""
 
 
 class Covariance(NamedTuple):
     """Covariance of a state.
 
     Attributes:
-        time: in seconds from the start of the ephemeris.
-        matrix: (6, 6), in km and km/s.
-        frame: of its components, such as RTN; "" for that of the ephemeris.
+        time: seconds since the start of the ephemeris.
+        matrix: (6, 6) covariance, in km and km/s.
+        frame: frame of its components, such as RTN; "" for that of the ephemeris.
     """
 
     time: float
@@ -56,11 +56,11 @@ class Ephemeris(NamedTuple):
         object_id, object_name: of the satellite, such as 2009-012A.
         center, frame, time_system: such as EARTH, EME2000 and UTC.
         start: epoch in picoseconds (`epochs.instant`).
-        times: (T,) seconds from the start.
+        times: (T,) seconds since the start.
         states: (T, 6) positions in km and velocities in km/s.
-        covariances: of some of the states.
-        rows: (T,) numbers of the lines that they are from.
-        frame_epoch: of a frame that is one of a date; "" for others.
+        covariances: covariances of some of the states.
+        rows: (T,) line numbers.
+        frame_epoch: epoch of a frame of date; "" for others.
     """
 
     object_id: str
@@ -76,12 +76,12 @@ class Ephemeris(NamedTuple):
     frame_epoch: str = ""
 
     def epoch(self, time: float) -> str:
-        """Return the epoch so many seconds after the start."""
+        """Return the epoch at a number of seconds after the start."""
         moment = self.start + round(time * epochs.SECOND)
         return epochs.spelled(moment, utc=self.time_system.upper() == "UTC")
 
     def metadata(self) -> dict[str, str]:
-        """Return what a message says of a segment."""
+        """Return the metadata of a segment."""
         return {
             "OBJECT_NAME": self.object_name or self.object_id,
             "OBJECT_ID": self.object_id,
@@ -99,11 +99,11 @@ class MessageBlock:
     """A segment as text.
 
     Attributes:
-        place: where it begins.
-        meta: what is said of it.
-        vectors: each with its line: an epoch and at least six numbers.
-        matrices: each with its line: epoch, frame and the 21 numbers of a lower triangle.
-        unused: what else stands in it, of which nothing is read.
+        place: begin of the segment.
+        meta: metadata.
+        vectors: states with line numbers: an epoch and at least six numbers.
+        matrices: covariances with line numbers: epoch, frame and the 21 numbers of a lower triangle.
+        unused: other content, which is not read.
     """
 
     place: Place
@@ -113,27 +113,27 @@ class MessageBlock:
     unused: dict[str, None] = field(default_factory=dict)
 
     def say(self, key: str, value: str, place: Place) -> None:
-        """Add what is said of the segment; raises UserError for a second time."""
+        """Add a metadata field; raises UserError for a duplicate."""
         if key in self.meta:
             place._replace(column=key).refuse("each keyword once in the metadata", "it twice")
         self.meta[key] = value
 
 
 def check_version(text: str, place: Place) -> None:
-    """Refuse a version of messages that is not known; raises UserError."""
+    """Raise UserError for an unknown message version."""
     if text not in VERSIONS:
         place.refuse(f"version {', '.join(VERSIONS)} of an OEM", repr(text))
 
 
 def ephemeris(block: MessageBlock, note: Note = refuse) -> Ephemeris:
-    """Return the numbers of a block.
+    """Convert a block to numbers.
 
     Args:
         block: a segment as text.
-        note: of a state that is no epoch and numbers, which is then left out.
+        note: callback for invalid states, which are then skipped.
 
     Raises:
-        UserError: names the line of what is missing, or what `note` raises.
+        UserError: missing content, with its line number, or errors of `note`.
     """
     for key in REQUIRED:
         if not block.meta.get(key):
@@ -173,10 +173,10 @@ def ephemeris(block: MessageBlock, note: Note = refuse) -> Ephemeris:
 
 
 def useable(block: MessageBlock, moments: list[int], note: Note, *, utc: bool) -> list[bool]:
-    """Return which states are data: others, outside the useable span, serve the interpolation near its ends.
+    """Return the mask of usable states: others, outside the useable span, only serve interpolation.
 
     Raises:
-        UserError: a span that is none, or without any state.
+        UserError: an invalid span, or one without states.
     """
     chosen = [True] * len(moments)
     for names in SPANS:
@@ -198,16 +198,16 @@ def useable(block: MessageBlock, moments: list[int], note: Note, *, utc: bool) -
 
 
 def remarks(blocks: list[MessageBlock], *, covariances: bool = True) -> list[Remark]:
-    """Return what of segments is not used.
+    """Return remarks on unused content of segments.
 
     Args:
-        blocks: the segments.
-        covariances: whether these are used.
+        blocks: segments.
+        covariances: whether covariances are used.
     """
     names: dict[str, None] = {}
     found: list[Remark] = []
     for block in blocks:
-        fixed = canonical(block.meta.get("REF_FRAME", "").upper()) in FIXED  # of which a date says nothing
+        fixed = canonical(block.meta.get("REF_FRAME", "").upper()) in FIXED  # independent of a date
         unused = (*UNUSED, "REF_FRAME_EPOCH") if fixed else UNUSED
         names |= block.unused | {key: None for key in unused if key in block.meta}
         if block.matrices and not covariances:
@@ -222,7 +222,7 @@ def remarks(blocks: list[MessageBlock], *, covariances: bool = True) -> list[Rem
 
 
 def covariance(block: MessageBlock, k: int, start: int, *, utc: bool) -> Covariance:
-    """Return the k-th covariance of a block; raises UserError for less than a lower triangle."""
+    """Return the k-th covariance of a block; raises UserError for an incomplete lower triangle."""
     row, epoch, frame, cells = block.matrices[k]
     place = Place(block.place.file, row, "EPOCH")
     if len(cells) != 21:
@@ -235,7 +235,7 @@ def covariance(block: MessageBlock, k: int, start: int, *, utc: bool) -> Covaria
 
 
 def moment(text: str, place: Place, *, utc: bool) -> int:
-    """Return an epoch in picoseconds; raises UserError."""
+    """Parse an epoch to picoseconds; raises UserError."""
     try:
         return epochs.instant(text, utc=utc)
     except ValueError as error:
@@ -243,7 +243,7 @@ def moment(text: str, place: Place, *, utc: bool) -> int:
 
 
 def values(cells: list[str], names: tuple[str, ...], place: Place) -> list[float]:
-    """Return the numbers in cells; raises UserError for what is none."""
+    """Return the numbers in cells; raises UserError for other text."""
     found = [number(cell, place._replace(column=name), "") for cell, name in zip(cells, names, strict=True)]
     for name, value in zip(names, found, strict=True):
         if math.isnan(value):
@@ -252,15 +252,15 @@ def values(cells: list[str], names: tuple[str, ...], place: Place) -> list[float
 
 
 def contents(blocks: list[MessageBlock], *, weighed: bool, note: Note = refuse) -> list[Content]:
-    """Return each segment as a trajectory, its times from its first epoch.
+    """Return each segment as a trajectory, with times since its first epoch.
 
     Args:
-        blocks: the segments.
+        blocks: segments.
         weighed: whether a mass is stated.
-        note: of each state that is none, each time that does not increase, and what is not used.
+        note: callback for invalid states, times that do not increase, and unused content.
 
     Raises:
-        UserError: what `note` raises.
+        UserError: errors of `note`.
     """
     found = []
     for block in blocks:
@@ -275,7 +275,7 @@ def contents(blocks: list[MessageBlock], *, weighed: bool, note: Note = refuse) 
 
 
 def of_orbits(tracks: list[Track], frame: str, epoch: int, *, weighed: bool) -> Content:
-    """Return orbits in km and km/s, their times in seconds from an epoch of the clock that ends `frame`."""
+    """Return orbits in km and km/s, with times in seconds since an epoch in the time scale in `frame`."""
     units = Units("s", "km", "km/s", f"{'kg ' if weighed else ''}km²/s²")
     names, rates, clock = ("x", "y", "z"), ("vx", "vy", "vz"), frame.rpartition(" ")[2].upper()
     return Content(names, rates, False, units, frame, tuple(tracks), epoch, clock)

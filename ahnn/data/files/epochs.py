@@ -1,4 +1,4 @@
-"""Epochs of the calendar as whole picoseconds, so that no digit is lost, leap seconds of UTC counted.
+"""Calendar epochs as integer picoseconds, without loss of digits and with UTC leap seconds.
 
 The formats are those of CCSDS 301.0 (ASCII time codes A and B).
 """
@@ -9,7 +9,7 @@ import re
 from datetime import UTC, date, datetime, timedelta
 
 SECOND = 10**12
-"""Picoseconds of a second."""
+"""Picoseconds per second."""
 DAY = 86400
 FIRST = date(2000, 1, 1).toordinal()
 CODE = re.compile(
@@ -22,7 +22,7 @@ DATE = re.compile(
     r"\s*(\d+\s*[-/.]\s*(\d+|[A-Za-z]{3,9})\s*[-/.]\s*\d+|\d+:\d\d|\d{8}T\d"
     r"|[A-Za-z]{3,9},?\s+\d|\d+\s+[A-Za-z]{3})"
 )
-"""How dates and times of day begin, in whatever notation."""
+"""Patterns of the beginning of dates and times of day, in any notation."""
 EXPECTED = "an epoch such as 2024-03-01T12:00:00.125, 2024-061T12:00:00 or 2024-03-01T14:00:00+02:00"
 LEAPS = tuple(
     date(year, month, 1).toordinal() - FIRST
@@ -32,19 +32,19 @@ LEAPS = tuple(
     )
     for year in years
 )
-"""Days, from the first of 2000, that follow a leap second (IERS Bulletin C; none since that of 2016)."""
+"""Days since 2000-01-01 that follow a leap second (IERS Bulletin C; none since that of 2016)."""
 
 
 def instant(text: str, *, utc: bool) -> int:
-    """Return an epoch in picoseconds from the first day of 2000.
+    """Parse an epoch to picoseconds since the first day of 2000.
 
     Args:
-        text: such as 2024-03-01T12:00:00.125 or 2024-061T12:00:00, with a blank in place of the T, without
-            seconds or without a time (midnight), and in UTC with an offset such as +02:00.
-        utc: whether its clock is UTC, so that leap seconds lie between two epochs.
+        text: text such as 2024-03-01T12:00:00.125 or 2024-061T12:00:00, optionally with a blank instead of T,
+            without seconds or without a time (midnight), and in UTC with an offset such as +02:00.
+        utc: whether the time scale is UTC, with leap seconds between epochs.
 
     Raises:
-        ValueError: another format, a date that is not in the calendar, or an offset from another clock.
+        ValueError: unknown format, invalid date, or an offset in another time scale.
     """
     found = CODE.fullmatch(text.strip())
     if found is None:
@@ -62,7 +62,7 @@ def instant(text: str, *, utc: bool) -> int:
 
 
 def _offset(found: re.Match[str], *, utc: bool) -> int:
-    """Return by how many minutes a local time is ahead of its clock."""
+    """Return the UTC offset of a local time in minutes."""
     if found["sign"] is None:
         return 0
     ahead, rest = int(found["ahead"]), int(found["rest"] or 0)
@@ -76,12 +76,12 @@ def _offset(found: re.Match[str], *, utc: bool) -> int:
 
 
 def _ends_with_leap(days: int, minute: int) -> bool:
-    """Return whether a minute of a day, in UTC, is the last before a leap second is over."""
+    """Return whether a UTC minute of a day contains a leap second."""
     return minute % 1440 == 1439 and days + minute // 1440 + 1 in LEAPS
 
 
 def _days(found: re.Match[str]) -> int:
-    """Return the ordinal of a date that is given by month and day, or by the number of the day."""
+    """Return the ordinal of a date given by month and day, or by day of year."""
     try:
         if found["number"] is None:
             return date(int(found["year"]), int(found["month"]), int(found["day"])).toordinal()
@@ -96,19 +96,19 @@ def _days(found: re.Match[str]) -> int:
 
 
 def leaps(days: int) -> int:
-    """Return how many leap seconds came before a day."""
+    """Return the number of leap seconds before a day."""
     return sum(leap <= days for leap in LEAPS)
 
 
 def day_and_time(moment: int, *, utc: bool) -> tuple[int, int]:
-    """Return the day of an epoch, from the first of 2000, and the picoseconds since its midnight."""
+    """Return the day of an epoch since 2000-01-01, and the picoseconds since midnight."""
     seconds, fraction = divmod(moment, SECOND)
     days = (seconds - leaps(seconds // DAY)) // DAY if utc else seconds // DAY
     return days, (seconds - days * DAY - (leaps(days) if utc else 0)) * SECOND + fraction
 
 
 def spelled(moment: int, *, utc: bool) -> str:
-    """Return an epoch as a text that `instant` reads, with at least three decimals."""
+    """Format an epoch for `instant`, with at least three decimals."""
     days, of_day = day_and_time(moment, utc=utc)
     of_day, fraction = divmod(of_day, SECOND)
     extra = max(0, of_day - DAY + 1)  # 23:59:60
@@ -119,5 +119,5 @@ def spelled(moment: int, *, utc: bool) -> str:
 
 
 def now() -> str:
-    """Return the time of this machine as an epoch in UTC."""
+    """Return the current system time as an epoch in UTC."""
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S")

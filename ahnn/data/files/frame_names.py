@@ -1,4 +1,4 @@
-"""Names of frames, centres and time systems, however they are spelled."""
+"""Canonical names of frames, centres and time scales."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ SPELLINGS = {
     **{centre: centre for centre in CENTRES},
     **{clock: clock for clock in ("UTC", "TAI", "GPS", "TT", "TDB")},
 }
-"""From words of frames, centres and clocks in capitals to the word for all that mean the same."""
+"""Canonical name for each capitalised synonym of frames, centres and time scales."""
 SIDECAR = "The key frame of a sidecar says it"
 ROTATING = ("ITRF", "ECEF", "EFG", "GTOD", "GRC", "TDR", "WGS")
-"""How the names of frames begin that turn with the Earth."""
+"""Prefixes of the names of Earth-fixed frames."""
 
 
 def canonical(frame: str) -> str:
-    """Return the one spelling of a frame, centre and clock: EME2000, EARTH, UTC for `J2000, Earth, utc`."""
+    """Return the canonical frame, centre and time scale: EME2000, EARTH, UTC for `J2000, Earth, utc`."""
     words = [re.sub(r"(?i)^itrf[-_ ]?(?=\d|$)", "ITRF", " ".join(word.split())) for word in frame.split(",")]
     return ", ".join(SPELLINGS.get(word.upper(), word) for word in words)
 
 
 def known(frame: str) -> str:
-    """Return the frame that a name such as `ITRF2014, EARTH, UTC` means; "" for one that is not known."""
+    """Return the frame of a name such as `ITRF2014, EARTH, UTC`; "" if unknown."""
     name = frame.split(",")[0].strip().upper()
     return "ITRF" if name.startswith("ITRF") and " " not in name else NAMES.get(name, "")
 
 
 def remedy(*given: str) -> str:
-    """Return what makes one frame of several: another key where they can be turned, or work."""
+    """Return a remedy for different frames: a key if they can be transformed, else manual work."""
     turnable = len({frame.split(",")[0] for frame in given}) > 1 and all(map(known, given))
     return "system.frame=GCRF turns all into one" if turnable else "Convert one of them"

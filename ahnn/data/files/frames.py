@@ -1,8 +1,8 @@
-"""Positions and velocities near the Earth turned into an inertial frame, by the conventions of the IERS.
+"""Transformation of positions and velocities near the Earth to an inertial frame (IERS conventions).
 
-TEME is turned into the terrestrial frame by the sidereal time of 1982, as SGP4 defines it (Vallado et al.,
-AIAA 2006-6753), and from there into GCRF by IAU 2006/2000A (IERS Conventions 2010). Polar motion and
-UT1 - UTC are left out: of the turn from TEME they are no part, and for ITRF docs/frames.md lists the errors.
+TEME is rotated to the terrestrial frame by the sidereal time of 1982, as SGP4 defines it (Vallado et al.,
+AIAA 2006-6753), and from there into GCRF by IAU 2006/2000A (IERS Conventions 2010). Polar motion and UT1 -
+UTC are left out: of the turn from TEME they are no part, and for ITRF docs/frames.md lists the errors.
 """
 
 from __future__ import annotations
@@ -24,21 +24,22 @@ from ahnn.optional_libraries import library
 TURN = 7.292115146706979e-5
 """Rate of the Earth's rotation angle in rad/s (IERS Conventions 2010, 5.15)."""
 TO_TT = {"UTC": 42.184, "TAI": 32.184, "GPS": 51.184, "TT": 0.0, "TDB": 0.0}
-"""Seconds from instants of a clock to terrestrial time; those of UTC count all its leap seconds."""
+"""Offsets in seconds from a time scale to terrestrial time; for UTC including all leap seconds."""
 JULIAN = 2451544.5
 """Julian date of the first day of 2000."""
 
 
 def turned(content: Content, frame: str, file: str) -> Content:
-    """Return content in another frame.
+    """Transform content to another frame.
 
     Args:
-        content: three positions, with velocities or without.
+        content: three positions, with or without velocities.
         frame: GCRF or EME2000.
-        file: its name, for messages.
+        file: file name, for messages.
 
     Raises:
-        UserError: a frame that is not stated or not known, times without epoch, or no three lengths.
+        UserError: an unspecified or unknown frame, times without epoch, or positions that are not three
+            lengths.
     """
     given, place = known(content.frame), Place(file)
     if given == frame:
@@ -63,7 +64,7 @@ def turned(content: Content, frame: str, file: str) -> Content:
 
 
 def of_track(track: Track, content: Content, given: str, frame: str) -> Track:
-    """Return a track in another frame."""
+    """Transform a track to another frame."""
     assert content.epoch is not None
     second = unit(content.units.time).size
     matrices = rotations(terrestrial(content.epoch, second * track.times, content.clock), given, frame)
@@ -75,7 +76,7 @@ def of_track(track: Track, content: Content, given: str, frame: str) -> Track:
 
 
 def terrestrial(epoch: int, times: Array, clock: str) -> Array:
-    """Return Julian dates of terrestrial time, (2, T) whose sum counts, of seconds after an epoch."""
+    """Return Julian dates of terrestrial time, (2, T) summands, of seconds after an epoch."""
     seconds, fraction = divmod(epoch, epochs.SECOND)
     days, of_day = divmod(seconds, epochs.DAY)
     parts = (of_day + fraction / epochs.SECOND + TO_TT[clock] + times) / epochs.DAY
@@ -86,12 +87,12 @@ def rotations(tt: Array, given: str, frame: str) -> NDArray[np.float64]:
     """Return matrices, (T, 3, 3), from a frame into GCRF or EME2000 at Julian dates of TT, (2, T)."""
     erfa = library("erfa", "pyerfa", "orbit", "system.frame")
     matrices: Any = np.eye(3)
-    bias = erfa.bp00(*tt[:, 0])[0]  # from GCRF to the mean equator and equinox of J2000.0
+    bias = erfa.bp00(*tt[:, 0])[0]  # from GCRF to mean equator and equinox of J2000.0
     if given == "EME2000":
         matrices = bias.T
     elif given != "GCRF":
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", erfa.ErfaWarning)  # of years whose leap seconds nobody knows yet
+            warnings.simplefilter("ignore", erfa.ErfaWarning)  # years with unannounced leap seconds
             ut1 = erfa.taiutc(*erfa.tttai(*tt))
         matrices = erfa.c2t06a(*tt, *ut1, 0.0, 0.0).transpose(0, 2, 1)
         if given == "TEME":

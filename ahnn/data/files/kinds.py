@@ -1,4 +1,4 @@
-"""What a file is, told by its content: a name's ending decides only where the content says nothing."""
+"""Detection of file formats by content; the file extension decides only if the content is ambiguous."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ ABOUT: dict[Kind, str] = {
     "sinex": "coordinates of stations (SINEX)",
     "bulletin_b": "a Bulletin B of the IERS",
 }
-"""What files of each kind are."""
+"""Descriptions of file kinds."""
 TRACKING: tuple[Kind, ...] = ("tdm", "crd", "station_table", "sinex", "bulletin_b")
-"""Kinds that hold no trajectories: `ahnn.tracking` reads them."""
+"""Kinds without trajectories, which `ahnn.tracking` reads."""
 READ = ", ".join(about for kind, about in ABOUT.items() if kind not in (*TRACKING, "xml"))
 SUFFIXES: dict[str, Kind] = {
     ".parquet": "parquet",
@@ -52,13 +52,13 @@ SUFFIXES: dict[str, Kind] = {
     ".xml": "xml",
     ".tle": "elements",
 }
-"""Of files whose content says nothing: damaged ones."""
+"""Extensions that decide for files of ambiguous content, i.e. damaged ones."""
 ELEMENTS = re.compile(r"1 [ \dA-Z]{5}[A-Z ] ")
 MESSAGE = re.compile(r"CCSDS_(\w+)_VERS\b")
 ROOT = re.compile(r"<(?:\w+:)?(oem|opm|omm|tdm)\b")
 IN_XML: dict[str, Kind] = {"oem": "xml", "opm": "opm", "omm": "omm", "tdm": "tdm"}
 IN_WORDS: dict[str, Kind] = {"OEM": "oem", "OPM": "opm", "OMM": "omm", "TDM": "tdm"}
-"""Messages of CCSDS that are read, by their elements in XML and by their names."""
+"""Supported CCSDS messages, by XML element and by name."""
 MEAN_ELEMENTS = re.compile(r"(?=.*\bMEAN_MOTION\b).*\bECCENTRICITY\b", re.DOTALL)
 MESSAGES = {
     "OPM": "an orbit parameter message (OPM), one state",
@@ -71,7 +71,7 @@ MESSAGES = {
     "CDM": "a conjunction data message (CDM)",
     "RDM": "a re-entry data message (RDM)",
 }
-"""Of CCSDS, that are no ephemeris."""
+"""CCSDS messages that are not ephemerides."""
 REMEDIES = {"OCM": "Write its trajectory as an OEM"}
 BINARY = {
     b"PK\x03\x04": "a zip archive, such as .xlsx or .npz",
@@ -90,14 +90,14 @@ SIGNS: tuple[tuple[re.Pattern[str], Kind], ...] = (
     (re.compile(r"%=SNX\b"), "sinex"),
     (MEAN_ELEMENTS, "omm"),
 )
-"""How the first line of formats begins that are read."""
+"""Beginnings of the first line of supported formats."""
 LINES: tuple[tuple[re.Pattern[str], Kind], ...] = (
     (re.compile(r"\s*H1\s+CPF\b", re.IGNORECASE), "cpf"),
     (re.compile(r"\s*H1\s+CRD\b", re.IGNORECASE), "crd"),
     (re.compile(r"\s*\d{4}-\S+T\S+\s+(RANGE|RANGE_RATE|AZ_EL|RA_DEC)\s+\S+\s+[-+.\d]"), "station_table"),
     (re.compile(r"\s*BULLETIN B \d+", re.IGNORECASE), "bulletin_b"),
 )
-"""And one of the first lines that are no remarks."""
+"""Beginnings of the first lines that are not comments."""
 TEXTS = (
     (re.compile(r".{60}(RINEX|CRINEX) VERS"), "RINEX"),
     (re.compile(r".{60}(IONEX|ANTEX) VERS"), "IONEX or ANTEX"),
@@ -108,18 +108,18 @@ TEXTS = (
     (re.compile(r"(product_type|begin_of_head)\b"), "a gravity field (GFC)"),
     (re.compile(r"\s*\d{4} [A-Z]{3} +\d+ =JD"), "leap seconds (tai-utc.dat), which are known here"),
 )
-"""How the first line of other formats begins."""
+"""Beginnings of the first line of unsupported formats."""
 
 
 def kind_of(raw: bytes, file: str) -> Kind:
-    """Return what a file is.
+    """Detect the kind of a file.
 
     Args:
-        raw: its content.
-        file: its name.
+        raw: content of the file.
+        file: file name.
 
     Raises:
-        UserError: another format, by its name.
+        UserError: unsupported format, named in the message.
     """
     suffix = "." + file.rpartition(".")[2].lower()
     if raw.startswith(b"PAR1"):
@@ -150,7 +150,7 @@ def kind_of(raw: bytes, file: str) -> Kind:
 
 
 def holds_mean_elements(path: Path) -> bool:
-    """Return whether a file holds mean elements (OMM), which in JSON have no other sign than their keys."""
+    """Return whether a file contains mean elements (OMM), recognised in JSON by their keys only."""
     try:
         return kind_of(content_of(path), str(path)) == "omm"
     except UserError:
@@ -158,11 +158,11 @@ def holds_mean_elements(path: Path) -> bool:
 
 
 def refuse(file: str, received: str) -> NoReturn:
-    """Say that a file is of another format; raises Fault."""
+    """Raise Fault for a file of an unsupported format."""
     Place(file).refuse(READ, received, "Write its samples as a table, docs/data.md")
 
 
 def refuse_message(name: str, place: Place) -> NoReturn:
-    """Say that a message of CCSDS is not one of an ephemeris; raises Fault."""
+    """Raise Fault for a CCSDS message that is not an ephemeris."""
     received = MESSAGES.get(name, f"a CCSDS message {name}")
     place.refuse("an orbit ephemeris message (OEM)", received, REMEDIES.get(name, ""))

@@ -1,4 +1,4 @@
-"""Orbit ephemeris messages as files, in either notation."""
+"""Files of orbit ephemeris and parameter messages, in either notation."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ SUFFIXES = (".oem", ".xml")
 
 
 def blocks_of(text: str, file: str, note: Note = refuse) -> list[MessageBlock]:
-    """Return the segments of a message in XML, if it begins like that, or in keyword = value notation."""
+    """Parse the segments of a message, in XML if it begins as such, else in keyword = value notation."""
     return oem_xml.blocks_of(text, file) if text.lstrip().startswith("<") else oem.blocks_of(text, file, note)
 
 
 def read_oem(path: str | Path) -> list[Ephemeris]:
-    """Return the segments of an orbit ephemeris message.
+    """Read the segments of an orbit ephemeris message.
 
     Raises:
-        UserError: names the line of what is wrong.
+        UserError: an error, with its line number.
     """
     path = Path(path)
     raw = content_of(path)
@@ -33,10 +33,10 @@ def read_oem(path: str | Path) -> list[Ephemeris]:
 
 
 def read_opm(path: str | Path) -> list[Ephemeris]:
-    """Return the states of an orbit parameter message, each as an ephemeris of one state.
+    """Read the states of an orbit parameter message, each as an ephemeris of one state.
 
     Raises:
-        UserError: names the line of what is wrong.
+        UserError: an error, with its line number.
     """
     path = Path(path)
     raw = content_of(path)
@@ -46,19 +46,19 @@ def read_opm(path: str | Path) -> list[Ephemeris]:
 
 
 def _ephemerides(blocks: list[MessageBlock]) -> list[Ephemeris]:
-    """Return the numbers of segments; what is not used is logged."""
+    """Convert segments to numbers; unused content is logged."""
     for remark in remarks(blocks):
         refuse(remark)
     return [ephemeris(block) for block in blocks]
 
 
 def write_oem(path: str | Path, ephemerides: Iterable[Ephemeris], originator: str = "ahnn") -> None:
-    """Write an orbit ephemeris message; the file appears whole or not at all.
+    """Write an orbit ephemeris message; atomically.
 
     Args:
-        path: of the file, in XML if it ends in .xml, otherwise in keyword = value notation.
-        ephemerides: a segment each.
-        originator: who says so.
+        path: path of the file, in XML if it ends in .xml, otherwise in keyword = value notation.
+        ephemerides: ephemerides, one per segment.
+        originator: originator of the message.
     """
     notation = oem_xml if Path(path).suffix.lower() == ".xml" else oem
     write_atomically(Path(path), notation.written(ephemerides, originator).encode())

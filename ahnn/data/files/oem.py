@@ -1,4 +1,4 @@
-"""CCSDS orbit ephemeris messages (CCSDS 502.0-B) in keyword = value notation, in and out."""
+"""CCSDS orbit ephemeris messages (CCSDS 502.0-B) in keyword = value notation, reading and writing."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ VERSION = "CCSDS_OEM_VERS"
 
 
 def blocks_of(text: str, file: str, note: Note = refuse) -> list[MessageBlock]:
-    """Return the segments of a message as text.
+    """Split a message into segments of text.
 
     Args:
-        text: of the message.
-        file: its name.
-        note: of a state of too few numbers, which is then left out.
+        text: text of the message.
+        file: file name.
+        note: callback for states with too few numbers, which are then skipped.
 
     Raises:
-        UserError: names the line of what does not belong there, or what `note` raises.
+        UserError: unexpected content, with its line number, or errors of `note`.
     """
     lines = [(row, line.strip()) for row, line in enumerate(text.split("\n"), 1)]
     used = [(row, line) for row, line in lines if line and not line.startswith("COMMENT")]
@@ -63,7 +63,7 @@ def blocks_of(text: str, file: str, note: Note = refuse) -> list[MessageBlock]:
 
 
 def check_header(key: str, value: str, place: Place, *, first: bool) -> None:
-    """Refuse what does not belong before the first segment; raises UserError."""
+    """Raise UserError for unexpected content before the first segment."""
     if first:
         check_version(value, place)
     elif key not in HEADER:
@@ -75,11 +75,11 @@ CHANGES = {
     ("COVARIANCE_START", "data"): "covariance",
     ("COVARIANCE_STOP", "covariance"): "data",
 }
-"""What a line makes of a part of the message."""
+"""Actions of a line on the state of the parser."""
 
 
 def pair(line: str, place: Place) -> tuple[str, str]:
-    """Return keyword and value; raises UserError for a line without."""
+    """Return keyword and value; raises UserError for other lines."""
     key, sign, value = (part.strip() for part in line.partition("="))
     if not sign:
         place.refuse("KEYWORD = value", repr(line))
@@ -87,7 +87,7 @@ def pair(line: str, place: Place) -> tuple[str, str]:
 
 
 def add_vector(block: MessageBlock, line: str, place: Place, note: Note) -> None:
-    """Add a state to a block, or note that it has too few numbers; accelerations behind it are not used."""
+    """Add a state to a block, or note that it has too few numbers; accelerations after it are ignored."""
     cells = line.split()
     if "=" in line:
         place.refuse("a state, a covariance or META_START", repr(line), ALONE)
@@ -100,7 +100,7 @@ def add_vector(block: MessageBlock, line: str, place: Place, note: Note) -> None
 
 
 def add_covariance(block: MessageBlock, line: str, place: Place) -> None:
-    """Add a line of a covariance to a block; raises UserError for numbers before their epoch."""
+    """Add a line of a covariance to a block; raises UserError for numbers without a preceding epoch."""
     if "=" not in line:
         if not block.matrices:
             place.refuse("EPOCH = of a covariance first", repr(line))
@@ -108,7 +108,7 @@ def add_covariance(block: MessageBlock, line: str, place: Place) -> None:
         return
     key, value = pair(line, place)
     if key == "EPOCH":
-        block.matrices.append((place.row, value, "", []))  # a frame of its own is said for each
+        block.matrices.append((place.row, value, "", []))  # a frame is given for each covariance
     elif key == "COV_REF_FRAME" and block.matrices:
         row, epoch, _, cells = block.matrices[-1]
         block.matrices[-1] = (row, epoch, value, cells)
@@ -117,12 +117,12 @@ def add_covariance(block: MessageBlock, line: str, place: Place) -> None:
 
 
 def written(ephemerides: Iterable[Ephemeris], originator: str = "ahnn", created: str | None = None) -> str:
-    """Return a message of version 2.0; numbers have 16 digits, all that they hold.
+    """Format a message of version 2.0, with 16 digits per number, i.e. full precision.
 
     Args:
-        ephemerides: a segment each.
-        originator: who says so.
-        created: epoch of the message in UTC; None is now.
+        ephemerides: ephemerides, one per segment.
+        originator: originator of the message.
+        created: epoch of the message in UTC; None for now.
     """
     head = [f"{VERSION} = 2.0", f"CREATION_DATE = {created or epochs.now()}", f"ORIGINATOR = {originator}"]
     return "\n".join([*head, *(line for one in ephemerides for line in _segment(one))]) + "\n"

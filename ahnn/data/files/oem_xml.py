@@ -1,4 +1,4 @@
-"""CCSDS orbit ephemeris messages in XML (CCSDS 505.0-B), in and out, as those in keyword = value notation."""
+"""CCSDS orbit ephemeris messages in XML (CCSDS 505.0-B), reading and writing."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "stateVector": ("EPOCH", *COMPONENTS, *ACCELERATION),
     "covarianceMatrix": ("EPOCH", "COV_REF_FRAME", *TRIANGLE),
 }
-"""Elements of texts, and which: of metadata any."""
+"""Elements with text, by container; metadata accept any."""
 STRUCTURE = ("ndm", "oem", "header", "body", "segment", "data", "COMMENT", *HEADER)
 
 
 def unit_of(tag: str) -> str:
-    """Return the unit that the standard gives an element; "" where it has none."""
+    """Return the standard unit of an element, or ""."""
     if tag in (*COMPONENTS, *ACCELERATION):
         return "km" + {0: "", 1: "/s", 2: "/s**2"}[2 if "DDOT" in tag else tag.count("DOT")]
     return "km**2" + {0: "", 1: "/s", 2: "/s**2"}[tag.count("DOT")] if tag in TRIANGLE else ""
 
 
 def blocks_of(text: str, file: str) -> list[MessageBlock]:
-    """Return the segments of a message as text.
+    """Split a message into segments of text.
 
     Raises:
-        UserError: no XML, other units, or a state without all components.
+        UserError: not XML, non-standard units, or an incomplete state.
     """
     reader = _Reader(file)
     try:
@@ -57,7 +57,7 @@ def blocks_of(text: str, file: str) -> list[MessageBlock]:
 
 
 class _Reader:
-    """Handlers that collect the texts of elements, and hand them over where a group of them ends."""
+    """Parser handlers that collect the texts of elements and process them at the end of each group."""
 
     def __init__(self, file: str) -> None:
         self.file, self.blocks, self.text = file, list[MessageBlock](), ""
@@ -72,16 +72,16 @@ class _Reader:
 
     @property
     def place(self) -> Place:
-        """Where the parser is."""
+        """Current place of the parser."""
         return Place(self.file, self.parser.CurrentLineNumber)
 
     @property
     def block(self) -> MessageBlock:
-        """The segment that the parser is in; raises UserError outside of any."""
+        """Current segment; raises UserError outside of segments."""
         return self.blocks[-1] if self.blocks else self.place.refuse("a <segment> around it", "none")
 
     def start(self, name: str, attributes: dict[str, str]) -> None:
-        """Begin an element; raises UserError for one that belongs to no ephemeris."""
+        """Begin an element; raises UserError for elements foreign to ephemerides."""
         self.text, tag, place = "", name.rpartition(":")[2], self.place
         if tag.upper() in MESSAGES:
             refuse_message(tag.upper(), place)
@@ -102,7 +102,7 @@ class _Reader:
         self.text += text
 
     def entity(self, *_: object) -> None:
-        """Refuse what could make a small file a huge one."""
+        """Reject entities, which could expand a small file to a huge one."""
         self.place.refuse("no entities of its own", "one")
 
     def end(self, name: str) -> None:
@@ -131,7 +131,7 @@ class _Reader:
             self.block.matrices.append((self.row, epoch, self.texts.get("COV_REF_FRAME", ""), cells))
 
     def taken(self, names: tuple[str, ...]) -> list[str]:
-        """Return the texts of some elements; raises UserError where one is missing."""
+        """Return the texts of some elements; raises UserError for missing ones."""
         for name in names:
             if name not in self.texts:
                 Place(self.file, self.row, name).refuse("the element", "none")
@@ -139,12 +139,12 @@ class _Reader:
 
 
 def written(ephemerides: Iterable[Ephemeris], originator: str = "ahnn", created: str | None = None) -> str:
-    """Return a message of version 2.0; numbers have 16 digits, all that they hold.
+    """Format a message of version 2.0, with 16 digits per number, i.e. full precision.
 
     Args:
-        ephemerides: a segment each.
-        originator: who says so.
-        created: epoch of the message in UTC; None is now.
+        ephemerides: ephemerides, one per segment.
+        originator: originator of the message.
+        created: epoch of the message in UTC; None for now.
     """
     message = Element("oem", id="CCSDS_OEM_VERS", version="2.0")
     _group(message, "header", {"CREATION_DATE": created or epochs.now(), "ORIGINATOR": originator})
@@ -170,7 +170,7 @@ def _data(parent: Element, one: Ephemeris) -> None:
 
 
 def _group(parent: Element, tag: str, texts: Mapping[str, str]) -> None:
-    """Add an element of elements with texts."""
+    """Add a container element with text elements."""
     group = SubElement(parent, tag)
     for name, text in texts.items():
         SubElement(group, name).text = text

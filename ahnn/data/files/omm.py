@@ -1,6 +1,6 @@
 """Orbit mean-elements messages (CCSDS 502.0-B) of SGP4: XML, keyword = value notation, CSV and JSON.
 
-CSV and JSON are those in which element sets are published: a column or a key for each keyword.
+CSV and JSON follow the published form of element sets: one column or key per keyword.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SAID = {
     "MEAN_ELEMENT_THEORY": ("SGP4", "SGP/SGP4", "SGP"),
     "EPHEMERIS_TYPE": ("0", "2"),
 }
-"""What SGP4 takes for granted; other values are refused. CSV leaves the first four out."""
+"""Values assumed by SGP4; others are rejected. CSV omits the first four."""
 ELEMENTS: dict[str, tuple[float, float, str]] = {
     "MEAN_MOTION": (1e-3, 20.0, "rev/day"),
     "ECCENTRICITY": (0.0, 0.999999999, ""),
@@ -35,15 +35,15 @@ ELEMENTS: dict[str, tuple[float, float, str]] = {
     "MEAN_ANOMALY": (-360.0, 360.0, "deg"),
     "BSTAR": (-100.0, 100.0, "1/er"),
 }
-"""Elements with their bounds and units; they must be there."""
+"""Required elements with their bounds and units."""
 DERIVATIVES = {"MEAN_MOTION_DOT": "rev/day**2", "MEAN_MOTION_DDOT": "rev/day**3"}
 UNUSED = (
     *("OBJECT_ID", "NORAD_CAT_ID", "CLASSIFICATION_TYPE", "ELEMENT_SET_NO", "REV_AT_EPOCH", *DERIVATIVES),
     *("REF_FRAME_EPOCH", "MASS", "SOLAR_RAD_AREA", "SOLAR_RAD_COEFF", "DRAG_AREA", "DRAG_COEFF", "GM"),
 )
-"""SGP4 needs none of them."""
+"""Fields not needed by SGP4."""
 OTHERS = ("SEMI_MAJOR_AXIS", "BTERM", "AGOM")
-"""Of other theories."""
+"""Fields of other theories."""
 PUBLISHED = (
     *(
         "CCSDS_OMM_VERS",
@@ -58,10 +58,10 @@ PUBLISHED = (
     ),
     *("OBJECT_TYPE", "RCS_SIZE", "COUNTRY_CODE", "LAUNCH_DATE", "SITE", "DECAYED", "APOAPSIS", "PERIAPSIS"),
 )
-"""What catalogues add to messages; none of it is used."""
+"""Fields added by catalogues, which are not used."""
 NOT_USED = "not used: designators, classes, derivatives of the mean motion, numbers of sets and revolutions"
 TO_2000 = 18263.0
-"""Days from the last of 1949, from which SGP4 counts, to the first of 2000."""
+"""Days from 1949-12-31, the SGP4 origin, to 2000-01-01."""
 RANGE = epochs.instant("1957-01-01", utc=True), epochs.instant("2100-01-01", utc=True)
 
 
@@ -74,18 +74,18 @@ def omm_content(
     weighed: bool,
     note: Note = refuse,
 ) -> Content:
-    """Return a trajectory for each message, from its epoch on, that SGP4 propagates.
+    """Return an SGP4 trajectory for each message, starting at its epoch.
 
     Args:
         text: messages in one of the four notations.
-        file: its name.
-        step: between samples, in seconds.
-        duration: of each trajectory, in seconds.
+        file: file name.
+        step: seconds between samples.
+        duration: seconds of each trajectory.
         weighed: whether a mass is stated.
-        note: of a message that is damaged or cannot be propagated, which is then left out.
+        note: callback for messages that are damaged or cannot be propagated, which are then skipped.
 
     Raises:
-        UserError: no step or duration, no message, or what `note` raises.
+        UserError: no step or duration, no message, or errors of `note`.
     """
     read = partial(_orbits, text, file)
     names = {"named": "mean elements (OMM)", "expected": ABOUT["OMM"], "unused": NOT_USED}
@@ -93,7 +93,7 @@ def omm_content(
 
 
 def _orbits(text: str, file: str, model: Any, note: Note) -> Iterator[MeanOrbit]:
-    """Yield the orbit of each message; one that is damaged is noted and left out."""
+    """Yield the orbit of each message; damaged ones are noted and skipped."""
     for one in omm_messages(text, file, note):
         try:
             yield _orbit(one, model, note)
@@ -102,7 +102,7 @@ def _orbits(text: str, file: str, model: Any, note: Note) -> Iterator[MeanOrbit]
 
 
 def omm_messages(text: str, file: str, note: Note = refuse) -> list[FieldMessage]:
-    """Return the messages of a text; raises UserError for one that is in none of the notations."""
+    """Parse the messages of a text; raises UserError for an unknown notation."""
     begin = text.lstrip()[:1]
     if begin in ("[", "{"):
         return list(_of_json(text, file, note))
@@ -112,7 +112,7 @@ def omm_messages(text: str, file: str, note: Note = refuse) -> list[FieldMessage
 
 
 def _of_json(text: str, file: str, note: Note) -> Iterator[FieldMessage]:
-    """Yield the messages of JSON: an object or a list of them, whose places are counted from 1."""
+    """Yield the messages of JSON: an object or a list of them, numbered from 1."""
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -131,7 +131,7 @@ def _of_json(text: str, file: str, note: Note) -> Iterator[FieldMessage]:
 
 
 def _of_csv(text: str, file: str, note: Note) -> Iterator[FieldMessage]:
-    """Yield the messages of a table, one a row."""
+    """Yield the messages of a table, one per row."""
     sheet = read_csv(text, file, note)
     for k, row in enumerate(sheet.rows):
         message = FieldMessage(Place(file, int(row)), ABOUT["OMM"])
@@ -142,7 +142,7 @@ def _of_csv(text: str, file: str, note: Note) -> Iterator[FieldMessage]:
 
 
 def _orbit(one: FieldMessage, model: Any, note: Note) -> MeanOrbit:
-    """Return the orbit of a message; raises Fault for what SGP4 does not take."""
+    """Return the orbit of a message; raises Fault for values not accepted by SGP4."""
     for key, words in SAID.items():
         if key in one.values and one.values[key].upper() not in words:
             one.at(key).refuse(" or ".join(words[:2]), repr(one.values[key]))
@@ -165,12 +165,12 @@ def _orbit(one: FieldMessage, model: Any, note: Note) -> MeanOrbit:
 
 
 def _unit_of(key: str) -> str:
-    """Return the unit that the standard gives a keyword."""
+    """Return the standard unit of a keyword."""
     return ELEMENTS[key][2] if key in ELEMENTS else DERIVATIVES.get(key, "")
 
 
 def _satellite(values: dict[str, float], start: int, model: Any) -> Any:
-    """Return the satellite of elements as SGP4 takes it: in rad and rad/min, at days from 1949-12-31."""
+    """Return the SGP4 satellite of elements, in rad and rad/min, with the epoch in days since 1949-12-31."""
     days, of_day = epochs.day_and_time(start, utc=True)
     day = TO_2000 + days + of_day / epochs.SECOND / epochs.DAY
     satellite = model.Satrec()

@@ -19,25 +19,25 @@ UNUSED = (
     ),
     *("MEAN_ANOMALY", "GM", "MASS", "SOLAR_RAD_AREA", "SOLAR_RAD_COEFF", "DRAG_AREA", "DRAG_COEFF"),
 )
-"""What a message may say besides its state."""
+"""Optional content of a message besides its state."""
 
 
 def opm_blocks(text: str, file: str, note: Note = refuse) -> list[MessageBlock]:
     """Return each message of a text as a segment of one state.
 
     Args:
-        text: of the message, in either notation, or of several.
-        file: its name.
-        note: of keywords that the standard does not have, and manoeuvres that are not used.
+        text: text of one or several messages, in either notation.
+        file: file name.
+        note: callback for non-standard keywords and unused manoeuvres.
 
     Raises:
-        UserError: names the line of what is missing or wrong.
+        UserError: missing or wrong content, with its line number.
     """
     return [_block(one, note) for one in field_messages(text, file, "OPM")]
 
 
 def _block(one: FieldMessage, note: Note) -> MessageBlock:
-    """Return the state and the covariance of a message; raises Fault where one is not whole."""
+    """Return the state and the covariance of a message; raises Fault if incomplete."""
     one.require_units(unit_of)
     block = MessageBlock(one.place)
     block.meta = {key: one.text(key) for key in REQUIRED}

@@ -1,4 +1,4 @@
-"""Parquet files as tables: the columns of a CSV, units in their names or in the metadata of the fields."""
+"""Parquet files as tables with CSV columns and units in names or field metadata."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from ahnn.data.files.table import Note, Place, Remark, Sheet, header_of, refuse
 from ahnn.optional_libraries import library
 
 INDEX = "__index_level_"
-"""How pandas names the columns of an index that has no name."""
+"""Name given by pandas to an unnamed index column."""
 
 
 def read_parquet(raw: bytes, file: str, note: Note = refuse) -> Sheet:
-    """Return the columns of a Parquet file; its rows are records, counted from 1.
+    """Read the columns of a Parquet file; rows are numbered from 1.
 
     Args:
         raw: content of the file.
-        file: its name, for messages.
-        note: of an index and of metadata that are not used.
+        file: file name, for messages.
+        note: callback for an unused index and unused metadata.
 
     Raises:
-        UserError: no Parquet, a column of neither numbers, texts nor times, or units that are said twice.
+        UserError: not Parquet, a column of an unsupported type, or duplicate units.
     """
     arrow = library("pyarrow", "pyarrow", "parquet", file)
     reader = library("pyarrow.parquet", "pyarrow", "parquet", file)
@@ -55,7 +55,7 @@ OURS = (b"unit", b"PARQUET:field_id")
 
 
 def cells(arrow: Any, column: Any, place: Place) -> Sequence[str] | NDArray[np.float64]:
-    """Return the cells of a column, NaN or "" where one is missing; raises UserError for another type."""
+    """Return the cells of a column, NaN or "" where missing; raises UserError for unsupported types."""
     kind = column.type
     if arrow.types.is_floating(kind):
         return column.cast(arrow.float64()).to_numpy()

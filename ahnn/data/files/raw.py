@@ -1,4 +1,4 @@
-"""Bytes and text of a file, with one message where there are none."""
+"""Raw bytes and text of a file, with uniform error messages."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def content_of(path: Path) -> bytes:
 
 
 def decoded(raw: bytes, path: Path) -> str:
-    """Return the text of a file, its lines ended by newlines alone; raises UserError if it is none."""
+    """Return the text of a file, with newline line endings; raises UserError if it is not text."""
     try:
         return raw.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:

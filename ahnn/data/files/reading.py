@@ -1,4 +1,4 @@
-"""From the bytes of a file to its content, whatever its format."""
+"""Parsing of file bytes to content, in any supported format."""
 
 from __future__ import annotations
 
@@ -25,12 +25,13 @@ from ahnn.data.files.tabular import of_sheet
 
 
 class FileReading(NamedTuple):
-    """How files are read.
+    """Reading options.
 
     Attributes:
         weighed: whether a mass is stated.
-        frame: into which positions and velocities are turned; None leaves them as they are.
-        step, duration: of what is propagated from element sets, in seconds; None where there are none.
+        frame: target frame of positions and velocities; None for no transformation.
+        step, duration: sampling of orbits propagated from element sets, in seconds; None without element
+            sets.
     """
 
     weighed: bool = False
@@ -40,23 +41,23 @@ class FileReading(NamedTuple):
 
 
 def bytes_of(path: Path) -> tuple[bytes, bytes | None]:
-    """Return what is in a file and, if there is one, in its sidecar; raises UserError."""
+    """Read a file and, if present, its sidecar; raises UserError."""
     raw, aside = content_of(path), sidecar.beside(path)
     return raw, content_of(aside) if aside != path and aside.is_file() else None
 
 
 def parsed(path: Path, raw: bytes, aside: bytes | None, reading: FileReading, note: Note = refuse) -> Content:
-    """Return the content of a file.
+    """Parse a file.
 
     Args:
-        path: of the file.
-        raw: what is in it.
-        aside: what is in its sidecar; None without.
-        reading: how it is read.
-        note: of a fault that can be passed over, and of what is not used.
+        path: path of the file.
+        raw: content of the file.
+        aside: content of its sidecar, or None.
+        reading: reading options.
+        note: callback for recoverable faults and unused content.
 
     Raises:
-        UserError: the first fault that cannot.
+        UserError: the first unrecoverable fault.
     """
     file = str(path)
     kind = kinds.kind_of(raw, file)
@@ -87,7 +88,7 @@ def parsed(path: Path, raw: bytes, aside: bytes | None, reading: FileReading, no
 
 
 def turned(parts: list[Content], places: list[Place], reading: FileReading) -> Content:
-    """Return the parts of a file in one frame; raises UserError where that is not possible."""
+    """Transform the parts of a file to a common frame; raises UserError if impossible."""
     if reading.frame is not None:
         parts = [frames.turned(part, reading.frame, at.file) for part, at in zip(parts, places, strict=True)]
     return joined(parts, places) if len(parts) > 1 else parts[0]

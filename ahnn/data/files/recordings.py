@@ -1,4 +1,4 @@
-"""Trajectories that somebody brings, from files and from Python alike, in the one form that training sees."""
+"""Recorded trajectories from files or Python, in the form used by training."""
 
 from __future__ import annotations
 
@@ -21,28 +21,28 @@ log = logging.getLogger(__name__)
 
 
 class Recordings(ABC):
-    """Recorded trajectories: their numbers are states or measurements, and nothing is known of equations.
+    """Recorded trajectories of states or measurements, with unknown equations.
 
     Args:
-        space: what the numbers mean.
-        contents: tracks of one kind: positions with momenta or velocities, or positions alone.
-        mass: factor m of p = m dq/dt; None where nobody said.
-        cut: samples of the stretches that trajectories are cut into; None leaves them whole.
-        gap: a step so many times longer than the median is a gap, where samples lie on no grid.
-        unsound: train also on data that `check` finds unfit.
+        space: description of the state components.
+        contents: contents of one kind: positions with momenta or velocities, or positions only.
+        mass: factor m of p = m dq/dt; None if unspecified.
+        cut: number of samples of the segments into which trajectories are cut; None for no cutting.
+        gap: multiple of the median step that counts as a gap, for samples not on a grid.
+        unsound: whether to accept data rejected by `check`.
 
     Attributes:
-        positions_only: whether nothing but positions was recorded.
-        trajectories: NaN in samples and components that are missing.
-        names: of the trajectories.
+        positions_only: whether only positions were recorded.
+        trajectories: recorded trajectories, NaN where missing.
+        names: names of the trajectories.
 
     Raises:
-        UserError: a trajectory without a whole sample, or with too long a gap.
+        UserError: a trajectory without a complete sample, or with too long a gap.
     """
 
     truth: System | None = None
     lists = ""
-    """Where all that `check` finds is listed, for its message."""
+    """Reference to the complete list of findings, for the message of `check`."""
 
     def __init__(
         self,
@@ -64,7 +64,7 @@ class Recordings(ABC):
         self._contents = contents
 
     def check(self) -> None:
-        """Refuse data that would spoil a training, unless `unsound` takes them; raises UserError."""
+        """Raise UserError for data that would spoil a training, unless `unsound` is set."""
         from ahnn.data.doctor import diagnosis
 
         found = [] if self.unsound else diagnosis(self._contents, self.mass, self.gap)
@@ -78,18 +78,18 @@ class Recordings(ABC):
 
     @abstractmethod
     def recipe(self) -> dict[str, Any]:
-        """Return all that determines the trajectories, as plain values."""
+        """Return the complete definition of the trajectories, as plain values."""
 
     def steps(self) -> int:
-        """Return the steps of the shortest trajectory."""
+        """Return the number of steps of the shortest trajectory."""
         return int(self.trajectories.times.isfinite().sum(1).min()) - 1
 
     def read(self) -> Trajectories:
-        """Return the trajectories; the momenta are NaN where positions alone are known."""
+        """Return the trajectories; momenta are NaN if only positions are known."""
         return self.trajectories
 
     def _trajectories(self, contents: list[Content]) -> Trajectories:
-        """Return all tracks as states, momenta from velocities and the mass."""
+        """Return all tracks as states, with momenta from velocities and the mass."""
         dof, linear = self.space.dof, contents[0].linear
         every = (track for content in contents for track in content.tracks)
         tracks = [filled(track, self.gap, linear=linear) for track in every]
@@ -110,13 +110,13 @@ class Recordings(ABC):
 
 
 def widened(track: Track, dof: int) -> Any:
-    """Return the values of a track with a column for each component, (T, 2n)."""
+    """Return the values of a track with all state components, (T, 2n)."""
     missing = 2 * dof - track.values.shape[1]
     return np.pad(track.values, ((0, 0), (0, missing)), constant_values=np.nan)
 
 
 def described(space: Space, tracks: list[Track], content: Content) -> str:
-    """Return what was read, so that a user sees what each column was taken for."""
+    """Describe the data read, with the interpretation of each column."""
     lengths = sorted({int(np.isfinite(track.values).any(1).sum()) for track in tracks})
     samples = f"{lengths[0]:,}" if lengths[0] == lengths[-1] else f"{lengths[0]:,} to {lengths[-1]:,}"
     kind = "momenta" if content.momenta else "velocities"

@@ -1,4 +1,4 @@
-"""Rows of a file as trajectories: by id, in order of time, gaps filled with absent samples, cut if asked."""
+"""Conversion of rows to trajectories: grouping by id, time order, gaps, optional cutting."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from ahnn.types import Trajectories
 
 Array = NDArray[np.float64]
 ON_GRID = 0.01
-"""Share of a step by which samples may be off a grid whose missing points are known to be missing."""
+"""Tolerance of sample times, as a fraction of the step, for detecting a regular grid."""
 APART = "an id (a column of tables) or a segment (of messages) of its own"
 FILL = 20
-"""Absent samples for each that is there, beyond which a gap separates two trajectories."""
+"""Ratio of missing to present samples above which a gap separates two trajectories."""
 
 
 class Track(NamedTuple):
     """Samples of one trajectory.
 
     Attributes:
-        name: of the trajectory.
-        file: where it is from.
-        rows: (T,) numbers of the lines.
-        times: (T,).
-        values: (T, C), NaN where a number is missing.
-        controls: (T, m), those of each sample on; None where nothing is controlled.
+        name: name of the trajectory.
+        file: source file.
+        rows: (T,) line numbers.
+        times: (T,) times.
+        values: (T, C) values, NaN where missing.
+        controls: (T, m) controls valid from each sample on; None without controls.
     """
 
     name: str
@@ -41,14 +41,14 @@ class Track(NamedTuple):
     controls: Array | None = None
 
     def part(self, chosen: NDArray[Any] | slice) -> Track:
-        """Return some of the samples."""
+        """Return selected samples."""
         controls = None if self.controls is None else self.controls[chosen]
         parts = self.rows[chosen], self.times[chosen], self.values[chosen], controls
         return Track(self.name, self.file, *parts)
 
 
 def by_id(ids: Sequence[str], track: Track) -> list[Track]:
-    """Return a track for each id, in the order in which they first occur; their rows may be mixed."""
+    """Return a track for each id, in order of first occurrence; rows may be interleaved."""
     _, first, group = np.unique(np.asarray(ids), return_index=True, return_inverse=True)
     order = np.argsort(first)
     tracks = [track.part(np.flatnonzero(group == k)) for k in order]
@@ -56,15 +56,15 @@ def by_id(ids: Sequence[str], track: Track) -> list[Track]:
 
 
 def ordered(track: Track, column: str, note: Note = refuse) -> Track:
-    """Return a track whose times increase.
+    """Return a track with increasing times.
 
     Args:
-        track: as it was read.
-        column: of the times.
-        note: of each time that is missing, occurs twice or goes back; such samples are then left out.
+        track: track as read.
+        column: time column.
+        note: callback for times that are missing, repeated or decreasing; such samples are then skipped.
 
     Raises:
-        UserError: what `note` raises.
+        UserError: errors of `note`.
     """
     place, whose = Place(track.file, 0, column), f" of {track.name}" if track.name else ""
     for row in track.rows[np.isnan(track.times)]:
@@ -87,10 +87,10 @@ def ordered(track: Track, column: str, note: Note = refuse) -> Track:
 
 
 def filled(track: Track, gap: float, *, linear: bool = False) -> Track:
-    """Return a track with absent samples inside its gaps, about as far apart as the others.
+    """Fill the gaps of a track with missing samples, spaced about as the others.
 
-    On a grid every point that is missing is a gap; otherwise a step is one that is `gap` times the median.
-    Controls go on through a gap, held or interpolated linearly.
+    On a regular grid every missing point is a gap; otherwise every step longer than `gap` times the median.
+    Controls continue through a gap, held or interpolated linearly.
 
     Raises:
         UserError: a gap so long that it separates two trajectories.
@@ -124,19 +124,19 @@ def filled(track: Track, gap: float, *, linear: bool = False) -> Track:
 
 
 def cut(track: Track, samples: int | None) -> list[Track]:
-    """Return a track in stretches of about equal length, near `samples`; None leaves it whole."""
+    """Cut a track into segments of about equal length, near `samples`; None for no cutting."""
     count = 1 if samples is None else max(1, round(len(track.times) / samples))
     return [track.part(part) for part in np.array_split(np.arange(len(track.times)), count)]
 
 
 def trimmed(track: Track) -> Track:
-    """Return a track from its first sample without a missing number to its last."""
+    """Trim a track to the range from its first to its last complete sample."""
     chosen = np.flatnonzero(np.isfinite(track.values).all(1))
     return track.part(slice(chosen[0], chosen[-1] + 1) if len(chosen) else slice(0))
 
 
 def stacked(tracks: Sequence[Track], *, linear: bool = False) -> Trajectories:
-    """Return tracks as trajectories on a common number of rows, NaN behind the end of shorter ones."""
+    """Stack tracks as trajectories, padding shorter ones with NaN."""
     longest = max(len(track.times) for track in tracks)
     times = torch.full((len(tracks), longest), math.nan, dtype=torch.float64)
     states = torch.full((len(tracks), longest, tracks[0].values.shape[1]), math.nan, dtype=torch.float64)

@@ -1,4 +1,4 @@
-"""Orbits that SGP4 propagates from mean elements, whatever the notation of these.
+"""Orbits propagated by SGP4 from mean elements in any notation.
 
 Hoots and Roehrich, Spacetrack Report 3 (1980), as revised by Vallado et al., AIAA 2006-6753.
 """
@@ -23,13 +23,13 @@ FRAME = "TEME, EARTH, UTC"
 
 
 class MeanOrbit(NamedTuple):
-    """Mean elements as SGP4 takes them.
+    """Mean elements for SGP4.
 
     Attributes:
-        place: where they stand.
-        name: of the satellite.
+        place: place in the file.
+        name: name of the satellite.
         satellite: `Satrec` of the package sgp4.
-        epoch: in picoseconds (`epochs.instant`).
+        epoch: epoch in picoseconds (`epochs.instant`).
     """
 
     place: Place
@@ -49,20 +49,20 @@ def sgp4_content(
     unused: str,
     note: Note = refuse,
 ) -> Content:
-    """Return a trajectory for each set of mean elements, from its epoch on.
+    """Return a trajectory for each set of mean elements, starting at its epoch.
 
     Args:
-        orbits: yields them, given the module `sgp4.api` and what notes faults.
-        file: its name, for messages.
-        span: seconds between samples and of each trajectory.
+        orbits: generator of mean elements, called with the module `sgp4.api` and the fault callback.
+        file: file name, for messages.
+        span: seconds between samples, and seconds of each trajectory.
         weighed: whether a mass is stated.
-        named: what the elements are called.
-        expected: what a file without elements should hold.
-        unused: what is said of fields that SGP4 does not need.
-        note: of elements that are damaged or cannot be propagated.
+        named: name of the elements in messages.
+        expected: expected content, for the message on a file without elements.
+        unused: remark on fields not needed by SGP4.
+        note: callback for elements that are damaged or cannot be propagated.
 
     Raises:
-        UserError: no step or duration, no elements, or what `note` raises.
+        UserError: no step or duration, no elements, or errors of `note`.
     """
     step, duration = span
     if step is None or duration is None or duration < step:
@@ -94,7 +94,7 @@ def sgp4_content(
 
 
 def propagated(model: Any, one: MeanOrbit, times: NDArray[np.float64]) -> Track:
-    """Return the orbit of mean elements; raises Fault where SGP4 gives up."""
+    """Propagate mean elements; raises Fault if SGP4 fails."""
     whole = np.full(len(times), one.satellite.jdsatepoch)
     fractions = one.satellite.jdsatepochF + times / epochs.DAY
     codes, positions, velocities = one.satellite.sgp4_array(whole, fractions)

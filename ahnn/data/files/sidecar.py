@@ -1,4 +1,4 @@
-"""The YAML beside a data file that says what its columns are: `orbits.yaml` beside `orbits.csv`."""
+"""YAML sidecar that describes the columns of a data file: `orbits.yaml` for `orbits.csv`."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ SUFFIXES = (".yaml", ".yml")
 KEYS = ("units", "columns", "frame", "controls")
 LINEAR = "linear"
 BETWEEN = ("held", LINEAR)
-"""What controls are between samples."""
+"""Allowed behaviours of controls between samples."""
 
 
 class Sidecar(NamedTuple):
-    """What a sidecar says.
+    """Content of a sidecar.
 
     Attributes:
-        units: from names of columns to units.
-        columns: from roles to names of columns.
-        frame: in which the positions are given.
-        controls: what they are between samples, one of `BETWEEN`.
+        units: units by column name.
+        columns: column names by role.
+        frame: reference frame of the positions.
+        controls: behaviour between samples, one of `BETWEEN`.
     """
 
     units: dict[str, str] = {}  # noqa: RUF012 - never written to
@@ -37,16 +37,16 @@ class Sidecar(NamedTuple):
 
 
 def beside(path: Path) -> Path:
-    """Return where the sidecar of a data file is, if it has one."""
+    """Return the path of a data file's sidecar, if it exists."""
     names = [path.with_suffix(suffix) for suffix in SUFFIXES]
     return next((name for name in names if name.is_file()), names[0])
 
 
 def parse(text: str, file: str) -> Sidecar:
-    """Return a sidecar from its text.
+    """Parse the text of a sidecar.
 
     Raises:
-        UserError: no YAML, or keys other than `KEYS`.
+        UserError: not YAML, or keys other than `KEYS`.
     """
     try:
         content = plain_yaml(text)
@@ -66,10 +66,10 @@ def parse(text: str, file: str) -> Sidecar:
 
 
 def with_units(header: Header, sidecar: Sidecar, place: Place) -> Header:
-    """Return a header with the units of a sidecar.
+    """Add the units of a sidecar to a header.
 
     Raises:
-        UserError: a column that is not there, or another unit than the header has.
+        UserError: a missing column, or a unit that contradicts the header.
     """
     units = dict(zip(header.names, header.units, strict=True))
     for name, text in sidecar.units.items():
@@ -83,7 +83,7 @@ def with_units(header: Header, sidecar: Sidecar, place: Place) -> Header:
 
 
 def written(path: Path, said: Sidecar) -> bytes:
-    """Return the sidecar of a file that this program writes."""
+    """Return the text of the sidecar of an output file."""
     about = f"# Units, columns and frame of {path.name}\n"
     usual = {"controls": BETWEEN[0]}.items()
     plain = {key: value for key, value in said._asdict().items() if (key, value) not in usual}
@@ -91,7 +91,7 @@ def written(path: Path, said: Sidecar) -> bytes:
 
 
 def require_place(path: Path) -> None:
-    """Refuse a file whose sidecar would take the place of another's; raises UserError."""
+    """Raise UserError for a file whose sidecar would overwrite another file's."""
     require_own([beside(path)], "output")
 
 

@@ -1,4 +1,4 @@
-"""Trajectories and measurements of one's own, from files."""
+"""Data source of user-supplied files."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from ahnn.types import Space
 
 @checked
 class Files(Recordings):
-    """Trajectories in files; nothing is known of their equations.
+    """Trajectories in files, with unknown equations.
 
-    Times, positions, velocities or momenta, and controls are columns with units behind their names
+    Times, positions, velocities or momenta, and controls are columns with units after their names
     (docs/data.md).
 
     Args:
-        name: of the data, in folders and tables.
-        path: of the file, or of several.
-        mass: factor m of p = m dq/dt, in kg (of angles: the inertia in kg m^2), or one for each coordinate;
-            None is 1, with energies per unit mass.
-        cut: samples of the stretches that trajectories are cut into; None leaves them whole.
-        gap: a step so many times longer than the median is a gap, where samples lie on no grid.
-        frame: into which data of a known frame and epoch are turned; None leaves them as they are.
-        step: in seconds, of what SGP4 propagates from element sets.
-        duration: of that, in seconds.
-        unsound: train also on data that `check` finds unfit.
+        name: name of the data, in folders and tables.
+        path: path of one or several files.
+        mass: factor m of p = m dq/dt, in kg (of angles: the inertia in kg m^2), common or per coordinate;
+            None for 1, with energies per unit mass.
+        cut: number of samples of the segments into which trajectories are cut; None for no cutting.
+        gap: multiple of the median step that counts as a gap, for samples not on a grid.
+        frame: target frame for data of known frame and epoch; None for no transformation.
+        step: sampling step of SGP4 orbits from element sets, in seconds.
+        duration: duration of these orbits, in seconds.
+        unsound: whether to accept data rejected by `check`.
 
     Raises:
-        UserError: a file that cannot be read, names row and column; or files that do not fit each other.
+        UserError: a file that cannot be read, with row and column, or incompatible files.
     """
 
     lists = "python -m ahnn.data check lists all; "
@@ -80,14 +80,14 @@ class Files(Recordings):
         self._sha256 = digest.hexdigest()
 
     def recipe(self) -> dict[str, Any]:
-        """Return the hash of the files, and how they are read."""
+        """Return the hash of the files, and their reading options."""
         options = {"mass": self.mass, "cut": self.cut, "gap": self.gap}
         asked = {name: getattr(self.reading, name) for name in ("frame", "step", "duration")}
         return {"files": self._sha256, **options, **{k: v for k, v in asked.items() if v is not None}}
 
 
 def require_different(paths: list[Path]) -> None:
-    """Refuse a file that is named twice: training would see the test trajectories; raises UserError."""
+    """Raise UserError for a file given twice, which would leak test trajectories into training."""
     known = [path.resolve() for path in paths]
     if again := [path for path in paths if known.count(path.resolve()) > 1]:
         message = f"system.path: expected different files; received {again[0]} twice"
@@ -95,7 +95,7 @@ def require_different(paths: list[Path]) -> None:
 
 
 def together(paths: list[Path], contents: list[Content]) -> Content:
-    """Return the first of several contents, the others being of the same kind; raises UserError otherwise."""
+    """Return the first of several contents after checking that they match; raises UserError otherwise."""
     if not contents:
         message = "system.path: expected a file or several; received none"
         raise UserError(message)
@@ -110,12 +110,12 @@ def together(paths: list[Path], contents: list[Content]) -> Content:
 
 
 def spelled(value: Any) -> str:
-    """Return names in a row as a text."""
+    """Join names to a text."""
     return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 def space_of(name: str, content: Content, mass: float | Sequence[float] | None) -> Space:
-    """Return what the numbers mean."""
+    """Build the space of the data."""
     momenta = content.rates if content.momenta else tuple(f"p{q}" for q in content.positions)
     turning = content.momenta and content.frame.upper().startswith(ROTATING)
     inertia = (*mass,) if isinstance(mass, Sequence) else mass or 1.0

@@ -1,7 +1,7 @@
 """Precise orbits of several satellites: the Extended Standard Product 3 format, versions c and d.
 
-Positions are in km and velocities in dm/s in a frame that turns with the Earth. Source: S. Hilla, The
-Extended Standard Product 3 Orbit Format (SP3-c, 2010; SP3-d, 2016), National Geodetic Survey.
+Positions are in km and velocities in dm/s in an Earth-fixed frame. Source: S. Hilla, The Extended Standard
+Product 3 Orbit Format (SP3-c, 2010; SP3-d, 2016), National Geodetic Survey.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from ahnn.data.files.table import Fault, Note, Place, Remark, refuse, within
 
 TITLE = re.compile(r"#([a-d])([PV])\s*\d{4}[ \d]{3}")
 CLOCKS = {"GPS": "GPS", "GAL": "GPS", "QZS": "GPS", "UTC": "UTC", "GLO": "UTC", "TAI": "TAI"}
-"""Time systems and the clocks with which they count; those of others differ by seconds from all of these."""
+"""Time systems and their time scales; other systems differ from these by seconds."""
 TERRESTRIAL = ("ITR", "IER", "IGS", "IGB", "IGR", "IGC", "SLR", "WGS", "ECF", "ECEF")
-"""How the names of frames begin that agree with the ITRF to within centimetres."""
+"""Prefixes of frame names that agree with the ITRF to within centimetres."""
 NEAREST, FARTHEST = 6.3e3, 1e6
-"""Distances of a satellite from the centre of the Earth in km."""
+"""Range of distances of a satellite from the Earth's centre in km."""
 FASTEST = 12.0
-"""Velocity of a satellite of the Earth in km/s."""
+"""Maximum velocity of an Earth satellite in km/s."""
 MISSING = 999999.0
 
 
 @dataclass
 class Sp3Orbit:
-    """Positions of one satellite: line, moment, km, and km/s where they are there."""
+    """Positions of one satellite: line, epoch, km, and km/s if available."""
 
     rows: list[int] = field(default_factory=list)
     moments: list[int] = field(default_factory=list)
@@ -40,16 +40,16 @@ class Sp3Orbit:
 
 
 def sp3_content(text: str, file: str, *, weighed: bool, note: Note = refuse) -> Content:
-    """Return the orbits of a file, with velocities where it has those of all positions.
+    """Return the orbits of a file, with velocities if available for all positions.
 
     Args:
-        text: of the file.
-        file: its name.
+        text: text of the file.
+        file: file name.
         weighed: whether a mass is stated.
-        note: of a line that is damaged, which is then left out, and of what is not used.
+        note: callback for damaged lines, which are then skipped, and for unused content.
 
     Raises:
-        UserError: no orbit, a time system or frame that is not read, or what `note` raises.
+        UserError: no orbit, an unsupported time system or frame, or errors of `note`.
     """
     reader = _Sp3Reader(file, note)
     for row, line in enumerate(text.split("\n"), 1):
@@ -57,14 +57,14 @@ def sp3_content(text: str, file: str, *, weighed: bool, note: Note = refuse) -> 
             try:
                 reader.line(line, Place(file, row))
             except Fault as fault:
-                if not reader.epochs:  # of a head that is wrong everything is
+                if not reader.epochs:  # a wrong header invalidates everything
                     raise
                 note(fault)
     return reader.content(weighed)
 
 
 class _Sp3Reader:
-    """Lines one after the other."""
+    """Sequential reader of lines."""
 
     def __init__(self, file: str, note: Note) -> None:
         self.file, self.note = file, note
@@ -116,7 +116,7 @@ class _Sp3Reader:
         self.epochs += 1
 
     def position(self, line: str, place: Place) -> None:
-        """Read a position in km; one of zeros is missing."""
+        """Read a position in km; zeros mark a missing position."""
         name = line[1:4].replace(" ", "0")
         self.last = ""
         if self.moment is None:
@@ -139,7 +139,7 @@ class _Sp3Reader:
         self.predicted += line[79:80] == "P"
 
     def velocity(self, line: str, place: Place) -> None:
-        """Read the velocity at the position before it, from dm/s."""
+        """Read the velocity of the preceding position, given in dm/s."""
         name = line[1:4].replace(" ", "0")
         place = place._replace(column=f"velocity of {name}")
         if name != self.last:
@@ -152,12 +152,12 @@ class _Sp3Reader:
         return None
 
     def absent_or_misplaced(self, line: str, place: Place) -> None:
-        """Pass over the velocity of a missing position; raises UserError for another."""
+        """Skip the velocity of a missing position; raises UserError for any other."""
         if any(_numbers(line, place, MISSING + 1)):
             place.refuse("a position of the satellite before its velocity", "none")
 
     def content(self, weighed: bool) -> Content:
-        """Return the orbits, their times from the first epoch of all."""
+        """Return the orbits, with times since the first epoch of all."""
         place = Place(self.file)
         if not self.orbits:
             place.refuse("positions (lines P) of an orbit file (SP3)", "none")
@@ -192,7 +192,7 @@ class _Sp3Reader:
 
 
 def clock_of(line: str, place: Place) -> str:
-    """Return the clock of the epochs; raises UserError for one that is not read."""
+    """Return the time scale of the epochs; raises UserError if unsupported."""
     system = line[9:12]
     if system not in CLOCKS:
         place._replace(column="time system").refuse(f"one of {', '.join(CLOCKS)}", repr(system))

@@ -1,4 +1,4 @@
-"""A file as columns of numbers, each of them with the place that it came from."""
+"""Tables: columns of numbers with their places in a file."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ MISSING = {"", "nan", "na"}
 EMPTY = "An empty cell is a missing one"
 
 LARGEST = 1e150
-"""Numbers beyond it have squares that float64 does not hold."""
+"""Magnitude above which squares overflow float64."""
 FINITE = f"a finite number up to {LARGEST:g}"
 
 
 class Place(NamedTuple):
-    """Where in a file something stands.
+    """Place in a file.
 
     Attributes:
-        file: its name.
-        row: number of the line, from 1; 0 is the file as a whole.
-        column: name of the column, or "".
+        file: file name.
+        row: line number, from 1; 0 for the whole file.
+        column: column name, or "".
     """
 
     file: str
@@ -42,17 +42,17 @@ class Place(NamedTuple):
         return f"{self.file}{row}" + (f", column {self.column}" if self.column else "")
 
     def refuse(self, expected: str, received: str, remedy: str = "") -> NoReturn:
-        """Say what is wrong here; raises Fault."""
+        """Raise Fault with a description of the error at this place."""
         raise Fault(self, expected, received, remedy) from None
 
 
 class Fault(UserError):
-    """What is wrong at a place of a file.
+    """Error at a place in a file.
 
     Attributes:
-        place: where.
-        expected, received: what should be there, and what is.
-        remedy: what to do, "" where that is plain.
+        place: place of the error.
+        expected, received: expected and received content.
+        remedy: remedy, "" if obvious.
     """
 
     def __init__(self, place: Place, expected: str, received: str, remedy: str = "") -> None:
@@ -62,13 +62,13 @@ class Fault(UserError):
 
 
 class Remark(NamedTuple):
-    """What a reader leaves out of a file, or takes in a way that a user should know.
+    """Remark on content that a reader ignores or interprets in a noteworthy way.
 
     Attributes:
-        place: where.
-        what: is left out or taken.
-        remedy: what to do, "" where nothing is to be done.
-        level: a warning where something may be wrong.
+        place: place of the content.
+        what: ignored or interpreted content.
+        remedy: remedy, "" if none is needed.
+        level: level, a warning for possible errors.
     """
 
     place: Place
@@ -78,7 +78,7 @@ class Remark(NamedTuple):
 
 
 Note = Callable[[Fault | Remark], None]
-"""What a reader does with what it could pass over: a doctor writes it down, all others `refuse`."""
+"""Callback of a reader for recoverable faults: a doctor records them, all others `refuse`."""
 
 
 def refuse(said: Fault | Remark) -> None:
@@ -90,20 +90,20 @@ def refuse(said: Fault | Remark) -> None:
 
 
 class Header(NamedTuple):
-    """Names of columns, and the unit behind each name, None where there is none."""
+    """Column names and units, None where there is no unit."""
 
     names: tuple[str, ...]
     units: tuple[str | None, ...]
 
 
 class Sheet(NamedTuple):
-    """A file of columns.
+    """Table of columns.
 
     Attributes:
         header: names and units of the columns.
-        place: of the header.
-        rows: (T,) numbers of the lines, or of the records, from 1.
-        columns: the T cells of each, texts or numbers.
+        place: place of the header.
+        rows: (T,) line or record numbers, from 1.
+        columns: the T cells of each column, texts or numbers.
     """
 
     header: Header
@@ -113,15 +113,15 @@ class Sheet(NamedTuple):
 
 
 def read_csv(text: str, file: str, note: Note = refuse) -> Sheet:
-    """Return the cells of comma, semicolon or tab separated values; lines that begin with # are left out.
+    """Return the cells of comma, semicolon or tab separated values; lines that begin with # are skipped.
 
     Args:
-        text: of the file.
-        file: its name, for messages.
-        note: of a row of another length, which is then left out, and of lines that begin with #.
+        text: text of the file.
+        file: file name, for messages.
+        note: callback for rows of wrong length, which are then skipped, and for lines that begin with #.
 
     Raises:
-        UserError: no header, a name that occurs twice, or what `note` raises.
+        UserError: no header, a duplicate name, or errors of `note`.
     """
     there = [(row, line) for row, line in enumerate(text.split("\n"), 1) if line.strip()]
     lines = [(row, line) for row, line in there if not line.lstrip().startswith("#")]
@@ -150,12 +150,12 @@ def read_csv(text: str, file: str, note: Note = refuse) -> Sheet:
 
 
 def delimiter_of(header: str) -> str:
-    """Return what separates the cells of a table: what occurs most often in its header, outside quotes."""
+    """Return the delimiter of a table: the most frequent one in its header, outside quotes."""
     return max(",;\t", key=re.sub(r'"[^"]*"', "", header).count)
 
 
 def cells_of(line: str, delimiter: str, place: Place) -> list[str]:
-    """Return the cells of a line, without their quotes; raises Fault where a quote does not end."""
+    """Return the cells of a line, without their quotes; raises Fault for an unterminated quote."""
     if '"' not in line:
         return [cell.strip() for cell in line.split(delimiter)]
     line = re.sub(rf'"[^\S\t]+(?={delimiter}|$)', '"', line)
@@ -170,7 +170,7 @@ def header_of(cells: Sequence[str], place: Place) -> Header:
     """Return names and units of columns such as `x`, `x [km]` or `vx (km/s)`.
 
     Raises:
-        UserError: an empty name, a name that occurs twice, or a number in its place.
+        UserError: an empty name, a duplicate name, or a number instead of a name.
     """
     names, units = [], []
     for cell in cells:
@@ -195,12 +195,12 @@ def is_number(text: str) -> bool:
 
 
 def number(cell: str, place: Place, remedy: str = EMPTY) -> float:
-    """Return the number in a cell, NaN where it is empty.
+    """Parse the number in a cell, NaN if empty.
 
     Args:
         cell: text of the number.
-        place: of the cell.
-        remedy: what a message advises.
+        place: place of the cell.
+        remedy: remedy for messages.
 
     Raises:
         UserError: text, or infinity.
@@ -208,7 +208,7 @@ def number(cell: str, place: Place, remedy: str = EMPTY) -> float:
     if cell.lower() in MISSING:
         return math.nan
     try:
-        value = float(cell.replace("_", "?"))  # Python reads 1_000 as a number, nobody else does
+        value = float(cell.replace("_", "?"))  # Python accepts 1_000 as a number, other programs do not
     except ValueError:
         place.refuse("a number", repr(cell), remedy)
     if abs(value) > LARGEST:
@@ -217,7 +217,7 @@ def number(cell: str, place: Place, remedy: str = EMPTY) -> float:
 
 
 def within(cell: str, place: Place, low: float, high: float) -> float:
-    """Return the number in a cell, which is there and from `low` to `high`; raises UserError."""
+    """Parse a required number in a cell, from `low` to `high`; raises UserError."""
     value = number(cell, place, "")
     if not low <= value <= high:
         place.refuse(f"a number from {low:.10g} to {high:.10g}", repr(cell))

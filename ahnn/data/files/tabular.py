@@ -1,4 +1,4 @@
-"""Tables of samples, one a row, as the content of a file."""
+"""Conversion of sample tables, one sample per row, to file content."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ NOTATION = "Write dates as year-month-day, which nobody takes for another day"
 
 
 def of_sheet(sheet: Sheet, sidecar: Sidecar, *, weighed: bool, note: Note = refuse) -> Content:
-    """Return the content of a table.
+    """Convert a table to content.
 
     Args:
-        sheet: its columns.
-        sidecar: what stands beside it.
+        sheet: columns of the table.
+        sidecar: its sidecar.
         weighed: whether a mass is stated.
-        note: of each cell that is no number, and each time that does not increase.
+        note: callback for cells that are not numbers, and times that do not increase.
 
     Raises:
-        UserError: names row and column of what is wrong with the header, or what `note` raises.
+        UserError: an error in the header, with row and column, or errors of `note`.
     """
     place, file = sheet.place, sheet.place.file
     header = with_units(sheet.header, sidecar, place)
@@ -76,7 +76,7 @@ def of_sheet(sheet: Sheet, sidecar: Sidecar, *, weighed: bool, note: Note = refu
 
 
 def controls_of(sheet: Sheet, found: Roles, note: Note) -> Array | None:
-    """Return the controls of each row, (T, m), as the file has them; each must be there."""
+    """Return the controls of each row, (T, m), without conversion; none may be missing."""
     if not found.controls:
         return None
     columns = [numbers(sheet, column, note) for column in found.controls]
@@ -88,7 +88,7 @@ def controls_of(sheet: Sheet, found: Roles, note: Note) -> Array | None:
 
 
 def say_unused(header: Header, found: Roles, place: Place, note: Note) -> None:
-    """Remark on the columns that nothing is read of."""
+    """Report unused columns."""
     unused = [name for i, name in enumerate(header.names) if found.of(i) == "not used"]
     deviations = [name for name in unused if is_deviation(name)]
     if others := [name for name in unused if name not in deviations]:
@@ -100,7 +100,7 @@ def say_unused(header: Header, found: Roles, place: Place, note: Note) -> None:
 
 
 def trajectories(sheet: Sheet, column: int | None, whole: Track, note: Note) -> list[Track]:
-    """Return a track for each id; rows without one are noted and left out."""
+    """Return a track for each id; rows without id are noted and skipped."""
     if column is None:
         return [whole]
     name, file = sheet.header.names[column], sheet.place.file
@@ -112,7 +112,7 @@ def trajectories(sheet: Sheet, column: int | None, whole: Track, note: Note) -> 
 
 
 def numbers(sheet: Sheet, column: int, note: Note) -> Array:
-    """Return a column in the unit of the file, NaN where nothing or no number is."""
+    """Return a column in the unit of the file, NaN for empty or invalid cells."""
     cells, name, file = sheet.columns[column], sheet.header.names[column], sheet.place.file
     if isinstance(cells, np.ndarray):
         beyond = np.abs(cells) > LARGEST
@@ -129,7 +129,7 @@ def numbers(sheet: Sheet, column: int, note: Note) -> Array:
 
 
 def are_epochs(cells: Sequence[str] | Array) -> bool:
-    """Return whether the first cell that holds something is a date or a time of day, in any notation."""
+    """Return whether the first non-empty cell is a date or a time of day, in any notation."""
     if isinstance(cells, np.ndarray):
         return False
     first = next((cell for cell in cells if cell.lower() not in MISSING), "")
@@ -137,7 +137,7 @@ def are_epochs(cells: Sequence[str] | Array) -> bool:
 
 
 def with_clock(header: Header, time: int, place: Place) -> tuple[Header, str]:
-    """Return a header whose times are in seconds, and the clock of its epochs; UTC where none is named."""
+    """Return a header with times in seconds, and the time scale of its epochs; UTC by default."""
     clock = header.units[time] or "UTC"
     if clock not in TO_TT:
         place._replace(column=header.names[time]).refuse(
@@ -149,10 +149,10 @@ def with_clock(header: Header, time: int, place: Place) -> tuple[Header, str]:
 
 
 def elapsed(sheet: Sheet, column: int, clock: str, note: Note) -> tuple[Array, int]:
-    """Return the seconds from the first of the epochs in a column, NaN where there is none, and that epoch.
+    """Return the seconds since the first epoch in a column, NaN where missing, and that epoch.
 
     Raises:
-        UserError: the first of them is a date in another notation.
+        UserError: the first epoch is in another notation.
     """
     name, file = sheet.header.names[column], sheet.place.file
     moments: list[int | None] = []

@@ -1,4 +1,4 @@
-"""From the units of columns to one unit for all positions, one for time, and a factor for each column."""
+"""Unit conversion of columns: a common position unit, a time unit, and a factor per column."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from ahnn.types import Units
 
 
 class Scales(NamedTuple):
-    """Factors from the numbers of a file to those of a space.
+    """Conversion factors from a file to a space.
 
     Attributes:
-        units: of the space.
+        units: units of the space.
         time: factor of the times.
         positions, rates: factors of the columns.
     """
@@ -26,19 +26,19 @@ class Scales(NamedTuple):
 
 
 def scales(header: Header, roles: Roles, place: Place, *, weighed: bool) -> Scales:
-    """Return units and factors: positions in the unit of the first, time in that of the first velocity.
+    """Return units and factors: positions in the unit of the first one, time in that of the first velocity.
 
-    Angles are in rad: only then is a momentum over the inertia their rate.
-    Momenta are in kg times the unit of the velocities (of angles: kg m^2/s, the inertia in kg m^2).
+    Angles are in rad, so that a momentum divided by the inertia is their rate. Momenta are in kg times the
+    unit of the velocities (of angles: kg m^2/s, the inertia in kg m^2).
 
     Args:
         header: names and units of the columns.
-        roles: what they are.
-        place: of the header.
-        weighed: whether a mass is stated, so that energies are those of the body and not per unit mass.
+        roles: roles of the columns.
+        place: place of the header.
+        weighed: whether a mass is stated, so that energies are not per unit mass.
 
     Raises:
-        UserError: a unit that is not known or does not fit what the column is, or units of some columns only.
+        UserError: an unknown or incompatible unit, or units for some columns only.
     """
     columns = (roles.time, *roles.positions, *roles.rates)
     without = [i for i in columns if header.units[i] is None]
@@ -74,7 +74,7 @@ def scales(header: Header, roles: Roles, place: Place, *, weighed: bool) -> Scal
 
 
 def parsed(header: Header, column: int, place: Place) -> Unit:
-    """Return the unit of a column; raises UserError for one that is not known."""
+    """Return the unit of a column; raises UserError for an unknown unit."""
     text = header.units[column] or ""
     try:
         return unit(text)
@@ -85,19 +85,19 @@ def parsed(header: Header, column: int, place: Place) -> Unit:
 def factor(
     header: Header, found: dict[int, Unit], column: int, wanted: Unit, place: Place, meaning: str
 ) -> float:
-    """Return what the numbers of a column are multiplied with; raises UserError for another dimension."""
+    """Return the conversion factor of a column; raises UserError for another dimension."""
     if found[column].dimension != wanted.dimension:
         wrong(header, column, place, f"the unit of {meaning}")
     return found[column].size / wanted.size
 
 
 def wrong(header: Header, column: int, place: Place, expected: str) -> NoReturn:
-    """Say that a column has another unit; raises UserError."""
+    """Raise UserError for the wrong unit of a column."""
     place._replace(column=header.names[column]).refuse(expected, repr(header.units[column]))
 
 
 def time_unit(rate: str, clock: Unit) -> Unit:
-    """Return the time that a rate is given per, so that it stays as it is; without one that of the clock."""
+    """Return the time unit of a rate, so that rates need no conversion; without one that of the times."""
     last = rate.rpartition("/")[2].strip() if "/" in rate else ""
     try:
         found = unit(last)
@@ -107,7 +107,7 @@ def time_unit(rate: str, clock: Unit) -> Unit:
 
 
 def energy_unit(length: Unit, base: Unit, *, weighed: bool) -> str:
-    """Return the unit of energies, per unit mass where no mass is stated."""
+    """Return the unit of energies, per unit mass without a stated mass."""
     if length.dimension in (ANGLE, NONE.dimension):
         weight = "kg m²" if weighed and length.dimension == ANGLE else "1"
         text = weight if base.dimension == NONE.dimension else f"{weight}/{base.text}²"

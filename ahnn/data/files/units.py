@@ -1,4 +1,4 @@
-"""Units as people write them in column names: `km/s`, `kg m^2/s`, `deg`, `1`."""
+"""Units in column names: `km/s`, `kg m^2/s`, `deg`, `1`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 from typing import NamedTuple
 
 MASS, LENGTH, TIME, ANGLE = (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)
-"""Dimensions: exponents of mass, length, time and angle."""
+"""Exponents of mass, length, time and angle."""
 
 BASE = {
     **{"kg": (1.0, MASS), "g": (1e-3, MASS), "t": (1e3, MASS)},
@@ -22,17 +22,17 @@ BASE = {
     **{"h": (3600.0, TIME), "d": (86400.0, TIME), "day": (86400.0, TIME)},
     **{"rad": (1.0, ANGLE), "deg": (math.pi / 180, ANGLE), "°": (math.pi / 180, ANGLE)},
 }
-"""What each name stands for: its size in kg, m, s and rad, and its dimension."""
+"""Size of each named unit in kg, m, s and rad, and its dimension."""
 POWER = re.compile(r"(?P<one>1)|(?P<name>[A-Za-z°]+)((\^|\*\*)?(?P<power>-?\d))?")
 RAISED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 
 class Unit(NamedTuple):
-    """A unit.
+    """Parsed unit.
 
     Attributes:
-        text: as it was written.
-        size: in kg, m, s and rad.
+        text: text as written.
+        size: size in kg, m, s and rad.
         dimension: exponents of mass, length, time and angle.
     """
 
@@ -50,10 +50,10 @@ NONE = Unit("1", 1.0, (0, 0, 0, 0))
 
 
 def unit(text: str) -> Unit:
-    """Return the unit that a text stands for; all behind a slash divides.
+    """Parse a unit; all factors after a slash divide.
 
     Raises:
-        ValueError: a name that is not known, or no product of powers.
+        ValueError: an unknown name, or not a product of powers.
     """
     size, dimension = 1.0, [0, 0, 0, 0]
     above, *below = (text.strip() or "1").translate(RAISED).split("/")
@@ -71,7 +71,7 @@ def unit(text: str) -> Unit:
 
 
 def factor(theirs: str, ours: str) -> float:
-    """Return what numbers in a unit are multiplied with to be in ours; raises ValueError where none is."""
+    """Return the conversion factor of a unit to ours; raises ValueError for other dimensions."""
     if theirs == ours:
         return 1.0
     a, b = unit(theirs), unit(ours)

@@ -1,4 +1,4 @@
-"""Angles that were wrapped to one turn, as angles that go on."""
+"""Unwrapping of angles that were wrapped to one turn."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from ahnn.data.files.units import ANGLE, unit
 
 TURN = 2.0 * np.pi
 NEAR, SMALL = 1.0, 8.0
-"""Of a step that is a turn: how near to one in rad, and how many times larger than most steps."""
+"""Criteria of a wrap: distance of a step from one turn in rad, and its ratio to typical steps."""
 
 
 def unwrapped(content: Content, note: Note = refuse) -> Content:
-    """Return content whose positions, where they are angles, go on where they jump by a turn.
+    """Unwrap the angular positions of content at jumps by one turn.
 
     Args:
-        content: of a file, its angles in rad.
-        note: of each column that jumps.
+        content: content of a file, with angles in rad.
+        note: callback for each column with jumps.
     """
     if unit(content.units.position).dimension != ANGLE:
         return content
@@ -40,7 +40,7 @@ def unwrapped(content: Content, note: Note = refuse) -> Content:
 
 
 def turns_of(track: Track, columns: int) -> NDArray[np.int64]:
-    """Return the turns, -1, 0 or 1, by which samples of the first columns jump from the last known one."""
+    """Return the turns, -1, 0 or 1, by which samples of the first columns jump from the last known value."""
     found = np.zeros((len(track.times), columns), dtype=np.int64)
     for c in range(columns):
         known = np.flatnonzero(np.isfinite(track.values[:, c]))

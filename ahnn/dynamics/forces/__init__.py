@@ -1,6 +1,6 @@
-"""Forces beside a Hamiltonian: friction, actuation, forcing, known attractions, and networks.
+"""Non-Hamiltonian and known forces: friction, actuation, forcing, attraction and networks.
 
-A force is one class in one file, under a name by which it is stored. Forces add up.
+Each force is a class in its own file, registered under the name by which it is stored. Forces are summed.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ FORCES: Table[Callable[..., Force]] = Table(
         "axial": AxialNetwork,
     },
 )
-"""Names under which forces are stored, and what is built for them: called with `dof`, `controls`, options."""
+"""Registered forces by name; called with `dof`, `controls` and options."""
 
 
 def make_force(name: str, dof: int, controls: int, options: Mapping[str, Any]) -> Force:
-    """Return a force with fresh parameters.
+    """Build a force with newly initialised parameters.
 
     Args:
-        name: under which it was asked for, for messages.
+        name: name of the force in the configuration, for messages.
         dof: degrees of freedom n.
-        controls: m, numbers that the user sets.
+        controls: number m of controls.
         options: `kind`, a key of `FORCES`, and the arguments of its class.
 
     Raises:
-        UserError: unknown kind, or arguments that make no force.
+        UserError: unknown kind or invalid arguments.
     """
     own = dict(options)
     kind = own.pop("kind", name)

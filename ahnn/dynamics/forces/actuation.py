@@ -1,4 +1,4 @@
-"""Actuation G u: how controls push the coordinates."""
+"""Actuation G u: generalised forces of controls."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from ahnn.statistics import Statistics
 @final
 @checked
 class Actuation(Force):
-    """The force G u of controls u: the ports of a port-Hamiltonian system, which supply the power v^T G u.
+    """Force G u of controls u: the port of a port-Hamiltonian system, with supplied power v^T G u.
 
     Args:
         dof: degrees of freedom n.
-        controls: m.
-        matrix: G, n rows of m numbers; None learns it.
+        controls: number m of controls.
+        matrix: input matrix G, n rows of m numbers; None to learn it.
         of: `constant`, or `positions`: then a network gives G(q).
         network: width, depth, activation of G(q).
-        scaling: of the positions that the network sees.
+        scaling: scaling of the network's position inputs.
 
     Raises:
-        UserError: a matrix of another shape, or one beside a network.
+        UserError: a matrix of the wrong shape, or together with a network.
     """
 
     controlled: ClassVar[bool] = True
@@ -65,7 +65,7 @@ class Actuation(Force):
             self.network = make_network(dof, dof * controls, options)
 
     def fit(self, statistics: Statistics) -> None:
-        """Set the scaling, and the force of a control of typical size as the unit."""
+        """Set the scaling, and the unit of G such that typical controls give typical forces."""
         if self.known is not None:
             return
         sizes = statistics.clock[:, 1:].square().mean(0).sqrt()
@@ -82,7 +82,7 @@ class Actuation(Force):
         return self.unit * self.network(self.positions(q)).unflatten(-1, self.shape)
 
     def constants(self) -> dict[str, Tensor]:
-        """Return a learned constant G, (n, m)."""
+        """Return G, (n, m), if it is constant and learned."""
         learned = self.of == "constant" and self.known is None
         return {"matrix": self.unit * self.weight} if learned else {}
 
@@ -91,5 +91,5 @@ class Actuation(Force):
         return (self.matrix(at.q) @ at.u.unsqueeze(-1)).squeeze(-1)
 
     def variation(self, at: Instant, by: Instant) -> Tensor:
-        """Return the change G du of a constant G, shape (B, R, n), and of G(q) by reverse mode."""
+        """Return the variation G du for constant G, shape (B, R, n), or of G(q) u by reverse mode."""
         return super().variation(at, by) if hasattr(self, "network") else self(by)

@@ -1,4 +1,4 @@
-"""The known attraction of a planet: a point mass, and its oblateness."""
+"""Known gravity of a planet: point mass and oblateness."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from ahnn.dynamics.hessians import point_mass_derivatives
 from ahnn.errors import UserError
 
 POLAR = (0.0, 0.0, 2.0)
-"""How much of the oblateness acts along the polar axis besides."""
+"""Additional factor of the oblateness force along the polar axis."""
 
 
 @final
 @checked
 class CentralAttraction(Force):
-    """The attraction -m mu q / r^3 of a point mass at the origin.
+    """Attraction -m mu q / r^3 of a point mass at the origin.
 
     Args:
         dof: degrees of freedom n.
         controls: not used.
         mu: gravitational parameter.
-        mass: m, of the moving body.
+        mass: mass m of the moving body.
     """
 
     assumes = "known point mass"
@@ -40,7 +40,7 @@ class CentralAttraction(Force):
         return -self.strength * at.q / at.q.norm(dim=-1, keepdim=True) ** 3
 
     def variation(self, at: Instant, by: Instant) -> Tensor:
-        """Return the change with q, shape (B, R, n)."""
+        """Return the variation with q, shape (B, R, n)."""
         return -by.q @ point_mass_derivatives(self.strength, at.q)[1]
 
     def potential(self, at: Instant) -> Tensor:
@@ -51,18 +51,18 @@ class CentralAttraction(Force):
 @final
 @checked
 class Oblateness(Force):
-    """What the second zonal harmonic adds to a point mass (Vallado, section 8.7.1).
+    """Perturbation by the second zonal harmonic (Vallado, section 8.7.1).
 
     Args:
         dof: 3, with the polar axis last.
         controls: not used.
         mu: gravitational parameter.
-        radius: equatorial, in the unit of the positions.
+        radius: equatorial radius, in the unit of the positions.
         j2: second zonal harmonic.
-        mass: m, of the moving body.
+        mass: mass m of the moving body.
 
     Raises:
-        UserError: other than three coordinates.
+        UserError: not three coordinates.
     """
 
     assumes = "known oblateness"

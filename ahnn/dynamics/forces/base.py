@@ -1,4 +1,4 @@
-"""A force: what is added to Hamilton's equations, known or learned."""
+"""Base class of known or learned forces added to Hamilton's equations."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from ahnn.statistics import Statistics
 
 
 class Instant(NamedTuple):
-    """What a force may depend on.
+    """Arguments of a force.
 
     Attributes:
-        t: time, (..., 1); (..., 0) where nothing depends on it.
+        t: time, (..., 1); (..., 0) for autonomous systems.
         u: controls, (..., m).
         q: coordinates, (..., n).
         v: velocities dq/dt, (..., n).
@@ -29,12 +29,12 @@ class Instant(NamedTuple):
 
 
 class Force(nn.Module, ABC):
-    """A generalised force f(t, q, v, u), added to dp/dt.
+    """Generalised force f(t, q, v, u), added to dp/dt.
 
     Attributes:
-        assumes: what it takes as known, for tables.
-        timed: whether it depends on time.
-        controlled: whether it depends on controls.
+        assumes: prior knowledge that the force assumes, for tables.
+        timed: whether the force depends on time.
+        controlled: whether the force depends on controls.
     """
 
     assumes: str
@@ -42,18 +42,18 @@ class Force(nn.Module, ABC):
     controlled: ClassVar[bool] = False
 
     def fit(self, statistics: Statistics) -> None:
-        """Set scalings, units and first guesses from the training split."""
+        """Set scalings, units and initial values from the training split."""
 
     @abstractmethod
     def forward(self, at: Instant) -> Tensor:
         """Return the force, shape (..., n)."""
 
     def variation(self, at: Instant, by: Instant) -> Tensor:
-        """Return how the force changes to first order with its arguments, shape (B, R, n).
+        """Return the first-order variation of the force, shape (B, R, n).
 
         Args:
-            at: what it depends on, B of each.
-            by: changes of that, (B, R, ...). By default reverse mode gives the derivatives.
+            at: arguments of the force, B of each.
+            by: variations of the arguments, (B, R, ...). The default uses reverse mode.
         """
         sizes = [part.shape[-1] for part in at]
 
@@ -63,10 +63,10 @@ class Force(nn.Module, ABC):
         return torch.cat(by, dim=-1) @ vmap(jacrev(of_row))(torch.cat(at, dim=-1)).mT
 
     def constants(self) -> dict[str, Tensor]:
-        """Return learned numbers that mean something by themselves, by name, as the parameters give them."""
+        """Return learned physical constants by name, computed from the parameters."""
         return {}
 
     def potential(self, at: Instant) -> Tensor | None:
-        """Return the potential energy of a force that has one, shape (...); by default it has none."""
+        """Return the potential energy, shape (...), of a conservative force; None by default."""
         del at
         return None

@@ -16,17 +16,17 @@ from ahnn.statistics import Statistics
 @final
 @checked
 class Forcing(Force):
-    """The force a cos(w t) + b sin(w t).
+    """Periodic force a cos(w t) + b sin(w t).
 
     Args:
         dof: degrees of freedom n.
         controls: not used.
-        frequency: w, in radians per unit of time.
-        cosine: a, n numbers; None, with b, learns them.
-        sine: b, n numbers.
+        frequency: angular frequency w, in radians per unit of time.
+        cosine: amplitudes a, n numbers; None, with b, to learn them.
+        sine: amplitudes b, n numbers.
 
     Raises:
-        UserError: one of a and b without the other, or of another length.
+        UserError: only one of a and b, or a wrong length.
     """
 
     timed: ClassVar[bool] = True
@@ -57,7 +57,7 @@ class Forcing(Force):
         self.assumes = "known forcing"
 
     def fit(self, statistics: Statistics) -> None:
-        """Set the typical force as the unit of learned amplitudes."""
+        """Set the unit of learned amplitudes to the typical force."""
         if self.known is None:
             self.unit.copy_(statistics.rate.chunk(2)[1])
 
@@ -68,7 +68,7 @@ class Forcing(Force):
         return self.unit * self.amplitudes
 
     def constants(self) -> dict[str, Tensor]:
-        """Return learned amplitudes a and b, (n,) each."""
+        """Return a and b, (n,) each, if they are learned."""
         if self.known is not None:
             return {}
         return dict(zip(("cosine", "sine"), self.unit * self.amplitudes, strict=True))
@@ -79,7 +79,7 @@ class Forcing(Force):
         return a * phase.cos() + b * phase.sin()
 
     def variation(self, at: Instant, by: Instant) -> Tensor:
-        """Return the change w (b cos(w t) - a sin(w t)) dt, shape (B, R, n)."""
+        """Return the variation w (b cos(w t) - a sin(w t)) dt, shape (B, R, n)."""
         phase, (a, b) = self.frequency * at.t, self.amplitude(at.q)
         rate = self.frequency * (b * phase.cos() - a * phase.sin())
         return by.t * rate.unsqueeze(1)

@@ -1,4 +1,4 @@
-"""Friction -R v with R symmetric and not negative: it never adds energy."""
+"""Friction -R v with symmetric positive semidefinite R, which never adds energy."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 
 FIRST = 0.01
-"""A learned coefficient begins at this fraction of the typical force over the typical velocity."""
+"""Initial value of a learned coefficient, as a fraction of typical force over typical velocity."""
 
 
 @final
 @checked
 class Friction(Force):
-    """The force -R v, v = dq/dt: dissipation of a port-Hamiltonian system, dH/dt = -v^T R v.
+    """Force -R v, v = dq/dt: dissipation of a port-Hamiltonian system, dH/dt = -v^T R v.
 
     Args:
         dof: degrees of freedom n.
         controls: not used.
-        coefficient: of all coordinates, in the unit of force over velocity, or one for each; None learns one
-            for each, which stays positive.
+        coefficient: friction coefficient in units of force over velocity, common or per coordinate; None
+            learns a positive one per coordinate.
         of: `constant`; `matrix`: R = L L^T with a learned lower triangular L, which couples coordinates; or
             `positions`: R(q) = L(q) L(q)^T with a network for L (van der Schaft & Jeltsema 2014,
             Port-Hamiltonian Systems Theory, chapter 2).
         network: width, depth, activation of L(q).
-        scaling: of the positions that the network sees.
+        scaling: scaling of the network's position inputs.
 
     Raises:
-        UserError: coefficients that are negative, not one for each coordinate, or beside a learned matrix.
+        UserError: coefficients that are negative, of the wrong number, or together with a learned matrix.
     """
 
     unit: Tensor
@@ -76,7 +76,7 @@ class Friction(Force):
                 raise UserError(message)
 
     def fit(self, statistics: Statistics) -> None:
-        """Set the scaling, and the size at which a learned friction begins."""
+        """Set the scaling, and the initial size of a learned friction."""
         rate_q, rate_p = statistics.rate.chunk(2)
         typical = rate_p / rate_q
         if self.of == "matrix":
@@ -124,5 +124,5 @@ class Friction(Force):
         return -(self.matrix(at.q) @ at.v.unsqueeze(-1)).squeeze(-1)
 
     def variation(self, at: Instant, by: Instant) -> Tensor:
-        """Return the change -R dv of a constant R, shape (B, R, n), and of R(q) by reverse mode."""
+        """Return the variation -R dv for constant R, shape (B, R, n), or of -R(q) v by reverse mode."""
         return super().variation(at, by) if self.of == "positions" else self(by)

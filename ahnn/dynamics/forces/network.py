@@ -1,4 +1,4 @@
-"""A force that a network gives: of positions, velocities, time and controls, as far as it is let see them."""
+"""Force given by a network of selected positions, velocities, time and controls."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ Seen = Literal["q", "v", "t", "u"]
 @final
 @checked
 class NetworkForce(Force):
-    """f(q, v, t, u) from a network, in units of the typical force; nothing is conserved.
+    """Network for f(q, v, t, u), in units of the typical force; without conservation laws.
 
     Args:
         dof: degrees of freedom n.
-        controls: m.
-        sees: which of q, v, t and u the network sees.
+        controls: number m of controls.
+        sees: network inputs among q, v, t and u.
         network: width, depth, activation.
 
     Raises:
-        UserError: it sees nothing.
+        UserError: no inputs.
     """
 
     unit: Tensor

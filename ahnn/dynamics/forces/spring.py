@@ -15,15 +15,15 @@ from ahnn.errors import UserError
 @final
 @checked
 class Spring(Force):
-    """The force -K q of known springs.
+    """Force -K q of known springs.
 
     Args:
         dof: degrees of freedom n.
         controls: not used.
-        stiffness: of all coordinates, or the symmetric matrix K, n rows of n numbers.
+        stiffness: common stiffness, or the symmetric matrix K, n rows of n numbers.
 
     Raises:
-        UserError: a matrix of another shape, or one that is not symmetric.
+        UserError: a matrix of the wrong shape or not symmetric.
     """
 
     assumes = "known springs"
@@ -43,7 +43,7 @@ class Spring(Force):
         return -at.q @ torch.tensor(self.stiffness, dtype=torch.float64).to(at.q)
 
     def variation(self, at: Instant, by: Instant) -> Tensor:
-        """Return the change -K dq, shape (B, R, n)."""
+        """Return the variation -K dq, shape (B, R, n)."""
         del at
         return self(by)
 

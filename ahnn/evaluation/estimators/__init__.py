@@ -1,4 +1,4 @@
-"""Estimators judged on unseen trajectories: settings, fits of process noise, rows, figures."""
+"""Evaluation of estimators on unseen trajectories: settings, process noise fits, rows, figures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures of a filter: its errors with their bands, consistency over time, what a filter gains."""
+"""Figures of a filter: errors with bands, consistency over time, comparison with pure prediction."""
 
 from __future__ import annotations
 
@@ -19,21 +19,20 @@ from ahnn.evaluation.titles import MODEL
 from ahnn.evaluation.trajectory_figures import SMOOTHING
 
 Chosen = dict[tuple[Start, bool], Outcome]
-"""The outcomes that are drawn, by start and by whether it is a floor."""
+"""Plotted outcomes, by start and by whether it is a floor."""
 
 
 def filter_figures(
     case: Case, setting: Setting, outcomes: Sequence[Outcome], without: dict[Start, Tensor]
 ) -> tuple[dict[str, Tensor], dict[str, Figure]]:
-    """Return the arrays and the figures of an evaluation under their names.
+    """Build the named arrays and figures of an evaluation.
 
-    The filter of the model is drawn, beside the floor where there is one, and from the perturbed start where
-    there is one.
+    The model's filter is plotted with the floor and from the perturbed start, if available.
 
     Args:
-        case: the model.
-        setting: measurements and P0.
-        outcomes: of all filters in all scenarios.
+        case: evaluated case.
+        setting: measurement settings and P0.
+        outcomes: outcomes of all filters in all scenarios.
         without: (B, T + 1, D) predictions without a filter from each start.
     """
     chosen = drawn(outcomes)
@@ -56,7 +55,7 @@ def filter_figures(
 
 
 def drawn(outcomes: Sequence[Outcome]) -> Chosen:
-    """Return the outcomes of the plain filter, which comes first, of the model and of the floor."""
+    """Select the outcomes of the plain filter, listed first, of the model and of the floor."""
     name = outcomes[0].who.estimator
     plain = (o for o in outcomes if o.who.estimator == name and (o.who.floor or o.who.process == MODEL))
     return {(o.who.start, o.who.floor): o for o in plain}
@@ -76,7 +75,7 @@ def _averages(case: Case, chosen: Chosen, without: dict[Start, Tensor]) -> dict[
 
 
 def states(case: Case, outcome: Outcome, teeth: Sawtooth) -> Figure:
-    """Draw every state component of one trajectory with its 3-sigma band, before and after updates."""
+    """Plot every state component of one trajectory with its 3-sigma band, before and after updates."""
     figure, grid = _grid(case)
     b, axis = _member(outcome), style.time_axis(case)
     time = axis.at(teeth.sample).time
@@ -96,7 +95,7 @@ def states(case: Case, outcome: Outcome, teeth: Sawtooth) -> Figure:
 
 
 def component_errors(case: Case, outcome: Outcome, teeth: Sawtooth) -> Figure:
-    """Draw the error of every state component of one trajectory in its 3-sigma band."""
+    """Plot the error of every state component of one trajectory with its 3-sigma band."""
     figure, grid = _grid(case)
     b, axis = _member(outcome), style.time_axis(case)
     time = axis.at(teeth.sample).time
@@ -118,7 +117,7 @@ def component_errors(case: Case, outcome: Outcome, teeth: Sawtooth) -> Figure:
 
 
 def error_against_band(case: Case, chosen: Chosen, start: Start) -> Figure:
-    """Draw the rms error over all trajectories beside the one that the filter believes in."""
+    """Plot the rms error over all trajectories with the filter's own estimate."""
     figure = style.canvas(8, 6.4)
     panels = figure.subplots(2, 1, sharex=True)
     axis = style.time_axis(case)
@@ -141,7 +140,7 @@ def error_against_band(case: Case, chosen: Chosen, start: Start) -> Figure:
 
 
 def consistency(case: Case, setting: Setting, chosen: Chosen) -> Figure:
-    """Draw NEES and NIS, averaged over trajectories, over time with their 95 % bands."""
+    """Plot NEES and NIS, averaged over trajectories, over time with their 95 % bands."""
     figure = style.canvas(8, 6.6)
     panels = figure.subplots(2, 1, sharex=True)
     axis, members = style.time_axis(case), len(case.test.states)
@@ -171,7 +170,7 @@ def consistency(case: Case, setting: Setting, chosen: Chosen) -> Figure:
 
 
 def averages_figure(case: Case, chosen: Chosen, averages: dict[Start, dict[str, Tensor]]) -> Figure:
-    """Draw the moving average of the rms error with and without a filter, from each start."""
+    """Plot the moving average of the rms error with and without a filter, from each start."""
     figure = style.canvas(10 if len(averages) > 1 else 7, 6.2)
     panels = figure.subplots(2, len(averages), sharex=True, sharey="row", squeeze=False)
     axis = style.time_axis(case)
@@ -201,7 +200,7 @@ def averages_figure(case: Case, chosen: Chosen, averages: dict[Start, dict[str, 
 
 
 def _with_looks(chosen: Chosen, start: Start) -> list[tuple[Outcome, dict[str, Any]]]:
-    """Return floor, if there is one, and model of a start with their styles."""
+    """Return the floor, if any, and the model of a start with their styles."""
     looks = {True: style.FLOOR, False: style.MODEL}
     return [(chosen[start, floor], look) for floor, look in looks.items() if (start, floor) in chosen]
 
@@ -211,7 +210,7 @@ def _label_of(outcome: Outcome, case: Case) -> str:
 
 
 def _grid(case: Case) -> tuple[Figure, list[Any]]:
-    """Return a figure with one panel a component, positions in the left column."""
+    """Return a figure with one panel per component, positions in the left column."""
     n = case.space.dof
     figure = style.canvas(11, 2.4 * n + 1.4)
     panels = figure.subplots(n, 2, sharex=True, squeeze=False)
@@ -234,7 +233,7 @@ def _columns(case: Case, *values: Tensor) -> list[Tensor]:
 
 
 def _member(outcome: Outcome) -> int:
-    """Return the first trajectory that was not lost, or the first."""
+    """Return the index of the first trajectory that was not lost, or of the first."""
     return int((outcome.result.status != 0).to(torch.int64).argmin())
 
 

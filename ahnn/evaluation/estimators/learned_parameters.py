@@ -1,4 +1,4 @@
-"""The parameters of a model as states of a filter, and what the filter of an evaluation sees of them."""
+"""Learned parameters as filter states, in directions chosen by their observability."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from ahnn.measurements import Instrument, Segment
 from ahnn.uncertainty.directions import ARCS, Chosen, Watched
 
 ENOUGH = 0.01
-"""What other directions may add to the NEES, per state component, where what a filter sees is known."""
+"""Maximum NEES contribution of omitted directions, per state component, if the filter's data are known."""
 
 
 def simulated_filter(case: Case, setting: Setting) -> Watched:
-    """Return training trajectories as the filter of an evaluation sees them."""
+    """Build training trajectories with the measurement schedule of the evaluation's filter."""
     states = case.train.states[:: max(1, len(case.train.states) // ARCS)]
     states = states[states[:, 0].isfinite().all(-1)]
     dt = cast(float, case.dt)
@@ -37,12 +37,12 @@ def simulated_filter(case: Case, setting: Setting) -> Watched:
 def parameters_as_states(
     dynamics: Dynamics, chosen: Chosen, growth: Callable[[Tensor], Tensor] | None = None
 ) -> ParameterError:
-    """Return learned parameters as states of a filter.
+    """Build the model of learned parameters as filter states.
 
     Args:
-        dynamics: whose parameters they are.
-        chosen: the directions of them, and what others add.
-        growth: factor (...) on what the parameters do at states (..., D); None is 1 everywhere.
+        dynamics: dynamics with the parameters.
+        chosen: chosen directions, and the contribution of the others.
+        growth: factor (...) on the effect of the parameters at states (..., D); None for 1 everywhere.
     """
     directions, left_out = chosen
     plain = field_columns(dynamics, directions)

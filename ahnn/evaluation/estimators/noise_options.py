@@ -1,4 +1,4 @@
-"""From the option `process_noise` of the plugin to a filter that has it, and where it comes from."""
+"""Process noise of a filter from the plugin option `process_noise`."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from ahnn.uncertainty.directions import MOST, Chosen, filtered_directions
 log = logging.getLogger(__name__)
 
 FITTED_ON, FORCE_FITTED_ON = 20, 100
-"""Validation trajectories on which the scale of Q, and that of a force error, is chosen."""
+"""Number of validation trajectories for fits of the scale of Q and of a force error."""
 
 Deviation = Annotated[float, Within(0)]
 Noise = tuple[Tensor, ForceError | ParameterError | None]
-"""Q of one step, (D, D), and the error of the force or of the parameters besides."""
+"""Q of one step, (D, D), and an additional error of the force or of the parameters."""
 
 
 @checked
 @dataclass(frozen=True)
 class ForceOptions:
-    """A relative force error with memory; what is None is fitted to validation data.
+    """Options of a relative force error with memory; None values are fitted to validation data.
 
     Attributes:
         size: standard deviation, as a fraction of the force.
@@ -51,15 +51,15 @@ class ForceOptions:
     memory: Positive | None = None
 
     def added(self, dof: int) -> int:
-        """Return how many components a state has more."""
+        """Return the number of additional state components."""
         return dof
 
 
 class ParameterOptions:
-    """The learned parameters as states, known as their covariance says."""
+    """Option of learned parameters as states, with their covariance as prior."""
 
     def added(self, dof: int) -> int:
-        """Return how many components a state has more, at most."""
+        """Return the maximum number of additional state components."""
         del dof
         return MOST
 
@@ -71,7 +71,7 @@ GivenNoise = (
 
 
 def noise_option(given: GivenNoise) -> NoiseOption:
-    """Return the option as its own type; raises UserError for unknown or wrong keys of a force error."""
+    """Parse the option; raises UserError for unknown or wrong keys of a force error."""
     if isinstance(given, dict):
         check_arguments("process_noise", ForceOptions, given)
         return ForceOptions(**given)
@@ -81,7 +81,7 @@ def noise_option(given: GivenNoise) -> NoiseOption:
 
 
 def without_parameters(option: NoiseOption) -> NoiseOption:
-    """Return the option for a flow that has no learned parameters: a force error in their place."""
+    """Return the option for a flow without learned parameters: a force error instead."""
     return ForceOptions() if isinstance(option, ParameterOptions) else option
 
 
@@ -92,17 +92,17 @@ def given_noise(
     flow: Flow | None = None,
     known: Uncertainty | None = None,
 ) -> Noise | None:
-    """Return Q of a step and the error besides where option or training say all of it, None where data must.
+    """Return Q of a step and the additional error if known from option or training; None if data are needed.
 
     Args:
         option: see `noise_option`.
-        space: what the numbers of a state mean.
-        growth: factor (...) on the error at states (..., D); None is 1 everywhere.
-        flow: the model.
-        known: covariance of its parameters, if it is known.
+        space: description of the state components.
+        growth: factor (...) on the error at states (..., D); None for 1 everywhere.
+        flow: process model.
+        known: covariance of its parameters, if available.
 
     Raises:
-        UserError: a training that did not keep which parameters a filter tells least.
+        UserError: the training did not save the least observable parameters.
     """
     nothing = torch.zeros(2 * space.dof, 2 * space.dof, dtype=torch.float64)
     if isinstance(option, ParameterOptions) and known is not None:
@@ -119,7 +119,7 @@ def given_noise(
 def online_parameters(
     flow: Flow | None, uncertainty: Uncertainty, growth: Callable[[Tensor], Tensor] | None
 ) -> ParameterError:
-    """Return learned parameters as states, in the directions that the training kept; raises UserError."""
+    """Build learned parameters as states, in the directions saved by the training; raises UserError."""
     dynamics, known = uncertainty.before or (cast(Dynamics, flow), uncertainty)
     if known.directions is None:
         message = (
@@ -131,7 +131,7 @@ def online_parameters(
 
 
 def given_covariance(deviations: tuple[float, float], space: Space) -> Tensor:
-    """Return Q, (D, D), of standard deviations of positions and velocities."""
+    """Return Q, (D, D), from standard deviations of positions and velocities."""
     position, velocity = deviations
     values = torch.tensor([position, velocity], dtype=torch.float64).repeat_interleave(space.dof)
     values = values * space.scales
@@ -147,20 +147,20 @@ def with_process_noise(
     arcs: Callable[[int], Problem],
     rate: float | None = None,
 ) -> tuple[Filter, dict[str, Any]]:
-    """Return a filter with the process noise of its model, and where that comes from, as plain values.
+    """Return a filter with the process noise of its model, and the noise's origin as plain values.
 
-    Where parameters are asked for whose covariance is not known, a force error takes their place, aloud.
+    If parameters with unknown covariance are requested, a force error replaces them, with a warning.
 
     Args:
         option: see `noise_option`.
-        plain: the filter, without process noise.
-        case: the model.
-        setting: measurements and P0.
-        arcs: gives so many whole validation trajectories, on which a scale is chosen.
-        rate: by which a force error grows with the square of novelty - 1; None lets it not.
+        plain: filter without process noise.
+        case: evaluated case.
+        setting: measurement settings and P0.
+        arcs: function that returns a number of whole validation trajectories for the choice of a scale.
+        rate: growth rate of a force error with the square of novelty - 1; None for no growth.
 
     Raises:
-        UserError: the model does not say where its training data were.
+        UserError: the model contains no representative training states.
     """
     if isinstance(option, ParameterOptions) and case.uncertainty is None:
         log.warning(
@@ -183,7 +183,7 @@ def with_process_noise(
         told = {"size": float(fit.error.size), "memory": float(fit.error.memory)}
         about = {"from": "force_error", **told, "scale": fit.scale, "nees_of_scales": list(fit.nees)}
         about["novelty"] = rate
-        # A variance of zero would end every member.
+        # Zero variance would make every member fail.
         return plain._replace(force_error=fit.error if told["size"] > 0.0 else None), about
     if isinstance(option, str):
         fitted = fitted_process_noise(plain, setting, arcs(FITTED_ON), case.validation)
@@ -198,7 +198,7 @@ def with_process_noise(
 def grown(
     novelty: Callable[[Tensor], Tensor] | None, rate: float | None
 ) -> Callable[[Tensor], Tensor] | None:
-    """Return the factor on the error of a force at a state; raises UserError where novelty is not known."""
+    """Return the growth factor of a force error at a state; raises UserError for unknown novelty."""
     if rate is None:
         return None
     if novelty is None:
@@ -208,7 +208,7 @@ def grown(
 
 
 def require_truth(option: NoiseOption, truth: System | None) -> None:
-    """Refuse a process noise that is fitted to true states where nobody knows them; raises UserError."""
+    """Raise UserError for a process noise fitted to true states that are unknown."""
     if truth is None:
         received = {"ForceOptions": "force_error", "ParameterOptions": "no covariance of the parameters"}
         message = (

@@ -1,4 +1,4 @@
-"""What became of one filter on one scenario: estimates, consistency, rows of the table, numbers."""
+"""Outcome of one filter in one scenario: estimates, consistency, table rows, numbers."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ BATCH = "batch_least_squares"
 
 
 class Outcome(NamedTuple):
-    """A filter, or its smoother, on the test trajectories of one scenario.
+    """Outcome of a filter, or its smoother, on the test trajectories of one scenario.
 
     Attributes:
         who: identity of its row over the whole arc.
-        estimate: (B, T + 1, D) after updates, the start first; NaN where a member is lost.
-        chol: (B, T + 1, D, D) lower factors of what the filter believes its error to be.
-        nees: (B, T + 1).
-        first: sample of the first update.
-        result: of the filter.
-        more: numbers of this estimator alone.
+        estimate: (B, T + 1, D) after updates, the start first; NaN for a failed member.
+        chol: (B, T + 1, D, D) lower factors of the filter's covariance.
+        nees: (B, T + 1) normalised estimation error squared.
+        first: index of the first updated sample.
+        result: filter result.
+        more: further numbers of this estimator.
     """
 
     who: Who
@@ -60,21 +60,21 @@ class Outcome(NamedTuple):
 
 
 def filtered(who: Who, setting: Setting, problem: Problem, result: FilterResult) -> Outcome:
-    """Return the outcome of a filter."""
+    """Build the outcome of a filter."""
     return _outcome(who, (result.means, result.chols), setting, problem, result)
 
 
 def smoothed(
     who: Who, setting: Setting, problem: Problem, result: FilterResult, name: str, found: Smoothed
 ) -> Outcome:
-    """Return the outcome of the smoother of this name behind a filter."""
+    """Build the outcome of a named smoother after a filter."""
     behind, (beliefs, more) = who._replace(estimator=f"{who.estimator}_{name}"), found
     result = result._replace(initial=beliefs.initial, backward=None)
     return _outcome(behind, (beliefs.means, beliefs.chols), setting, problem, result)._replace(more=more)
 
 
 def fitted(who: Who, setting: Setting, problem: Problem, fit: BatchResult) -> Outcome:
-    """Return the outcome of batch least squares, which has no innovations."""
+    """Build the outcome of batch least squares, which has no innovations."""
     initial, means, chols, cost, measured, status, settled = fit
     nothing = torch.full_like(problem.measurements, torch.nan)
     result = FilterResult(
@@ -110,18 +110,18 @@ def _outcome(
     estimate = torch.cat((result.initial.mean[:, None], means), dim=1)
     chol = torch.cat((result.initial.chol[:, None], chols), dim=1)
     measured = (result.measured > 0).any(0).nonzero().flatten().tolist()
-    # What was due may have been out of view.
+    # Scheduled measurements may have been out of view.
     first = measured[0] + 1 if measured else setting.first
     return Outcome(who, estimate, chol, nees(estimate - problem.truth, chol), first, result)
 
 
 def rows(outcome: Outcome, case: Case, without: Scores | None) -> list[Row]:
-    """Return the lines of an outcome: over the whole arc, and from the first update on.
+    """Return the rows of an outcome: over the whole arc, and from the first update on.
 
     Args:
-        outcome: of a filter.
-        case: the model.
-        without: scores of the same start without a filter, to say why a filter is worse; None skips that.
+        outcome: outcome of a filter.
+        case: evaluated case.
+        without: scores of the same start without a filter, to explain a worse filter; None to skip this.
     """
     whole, extra = case.score(outcome.estimate), {"lost": outcome.lost}
     settled = case.score(outcome.estimate, outcome.first)
@@ -132,12 +132,12 @@ def rows(outcome: Outcome, case: Case, without: Scores | None) -> list[Row]:
 
 
 def name(outcome: Outcome, case: Case) -> str:
-    """Return the name of an outcome in pictures."""
+    """Return the name of an outcome in figures."""
     return title(outcome.who, case.label)
 
 
 def _remark(outcome: Outcome, whole: Scores, without: Scores | None, space: Space) -> str:
-    """Say which members were lost or saw nothing, and why the filter is worse than none where it is."""
+    """Return remarks on members that failed or had no measurements, and on a filter worse than prediction."""
     remarks = []
     if outcome.lost:
         codes = {Status(int(s)).name.lower().replace("_", " ") for s in outcome.result.status if int(s)}
@@ -168,9 +168,9 @@ def _worse(scores: Scores, without: Scores, space: Space) -> list[str]:
 
 
 def _consistency_remark(outcome: Outcome, case: Case) -> str:
-    """Say how the means of NEES and NIS lie to their bands, over times from the first update on.
+    """Return a remark on mean NEES and NIS relative to their bands, from the first update on.
 
-    And that of the NEES in each phase of the motion in which it lies outside.
+    Also includes the mean NEES of each phase of the motion in which it is outside the band.
     """
     if not bool((outcome.result.measured > 0).any()):
         return "nothing was measured"
@@ -210,12 +210,12 @@ def _phases(outcome: Outcome, case: Case) -> dict[str, Judged]:
 
 
 def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
-    """Return everything that metrics.json says of an outcome, as plain values.
+    """Return the metrics.json entry of an outcome as plain values.
 
-    Means run over trajectories and over times from the first update on; `band_95` is where such a mean lies
-    for a consistent filter. `in_band` is the fraction of times at which the mean over trajectories alone lies
-    in its own band, `one_time_band_95`. `nees_of_phases` are those of `System.phases`,
-    `nees_of_start` is that at time zero alone.
+    Means are over trajectories and over times from the first update on; `band_95` is the 95 % band of such a
+    mean for a consistent filter. `in_band` is the fraction of times at which the mean over trajectories is
+    within its band, `one_time_band_95`. `nees_of_phases` is the NEES by `System.phases`, `nees_of_start` that
+    at time zero.
     """
     result, first = outcome.result, outcome.first
     error = outcome.estimate - case.test.states

@@ -1,4 +1,4 @@
-"""An estimator as an evaluation of a trained model: the group `plugins` of a configuration."""
+"""Evaluation plugin of an estimator on a trained model: config group `plugins`."""
 
 from __future__ import annotations
 
@@ -46,41 +46,40 @@ from ahnn.types import Flow, Space
 from ahnn.uncertainty import Uncertainty
 
 Bias = float | list[float] | None
-"""Numbers of the biases of a sensor, see `ahnn.measurements.Biases`."""
+"""Parameters of sensor biases, see `ahnn.measurements.Biases`."""
 
 
 @checked
 class EstimatorEvaluation:
-    """An estimator with the model as its process model, beside one with the exact dynamics.
+    """Evaluation of an estimator with the model as process model, and with the exact dynamics.
 
-    Two scenarios, `true` and `perturbed` start, see noisy measurements of the test trajectories; the noise is
-    drawn from the seed alone, so that all models, and all estimators, see the same.
+    Two scenarios, `true` and `perturbed` start, use noisy measurements of the test trajectories; the noise
+    depends on the seed alone, so that all models and estimators receive the same measurements.
 
     Args:
-        estimator: without gate.
+        estimator: estimator without gate.
         cadence: steps between two measurements.
-        times: of the measurements, in place of a cadence; None takes the cadence.
-        measurement: what is measured: `position`, `state`, or a model of its own.
-        measurement_sd: standard deviation of each measured component, or one for all; None takes the system's
-            own for positions.
-        bias_sd: standard deviations of biases of the measurements, one for all components or one for each, 0
-            where there is none: they are simulated, and estimated with the state. None for none.
-        bias_memory: time constants of biases that wander, or coloured noise; None for constant ones.
+        times: measurement times, as an alternative to the cadence.
+        measurement: `position`, `state`, or a measurement model.
+        measurement_sd: standard deviation of each measured component, or a common one; None for the system's
+            default, for positions.
+        bias_sd: standard deviations of measurement biases, common or per component, 0 for no bias: biases are
+            simulated, and estimated with the state. None for no biases.
+        bias_memory: time constants of drifting biases or coloured noise; None for constant biases.
         start_sd: standard deviations of the initial error, for P0: one for each component, or one for
-            positions and one for velocities; None takes the system's own, those of perturbed starts.
+            positions and one for velocities; None for the system's default for perturbed starts.
         process_noise: `fitted` to validation data; standard deviations [position, velocity] of the error
-            of one step; `force_error`, relative and with memory, `{size: ..., memory: ...}` where one of
-            them is given; or `parameter_error`: the learned parameters are states of the filter, known as
-            their covariance says.
-        novelty: rate by which the force error grows with the square of novelty - 1, such as 500; None
-            lets it not. It needs `force_error` or `parameter_error`.
-        gate: probability beyond which a measurement is refused as an outlier; None takes all.
-        patience: refusals in a row after which a member has diverged.
-        smoother: whether to add the rows of the smoother; a name adds those of all smoothers up to it.
+            of one step; `force_error`, relative and with memory, or `{size: ..., memory: ...}` to fix one of
+            them; or `parameter_error`: learned parameters as filter states, with their covariance as prior.
+        novelty: growth rate of the force error with the square of novelty - 1, such as 500; None for no
+            growth. Requires `force_error` or `parameter_error`.
+        gate: probability of the chi-square gate for outliers; None for no gate.
+        patience: number of consecutive rejections after which a member has diverged.
+        smoother: whether to add the smoother's rows; a name adds those of all smoothers up to it.
         least_squares: whether to add the rows of batch least squares.
-        seed: of measurement noise and of the validation arcs.
-        beside: a system that is near the data where their own equations are not known: it filters beside the
-            model, with process noise of its own, and its defaults are taken.
+        seed: seed of measurement noise and of the validation arcs.
+        beside: a similar system for data with unknown equations: it is filtered for comparison, with its own
+            process noise, and provides defaults.
     """
 
     def __init__(
@@ -125,15 +124,15 @@ class EstimatorEvaluation:
         )
 
     def check(self, truth: System | None, space: Space, steps: int) -> None:
-        """Refuse what does not fit the data, before anything is trained on them.
+        """Check the options against the data, before any training.
 
         Args:
-            truth: the system whose equations are known, or None.
-            space: what the numbers mean.
-            steps: of the shortest test trajectory.
+            truth: system with known equations, or None.
+            space: description of the state components.
+            steps: number of steps of the shortest test trajectory.
 
         Raises:
-            UserError: says which option.
+            UserError: an incompatible option, named in the message.
         """
         system = near_system(truth, self.beside, space)
         setting = self._setting(system, steps)
@@ -144,7 +143,7 @@ class EstimatorEvaluation:
         require_possible(setting, system, option, self.estimator)
 
     def require_constants(self, setting: Setting, steps: int, size: int) -> None:
-        """Refuse constants of the estimator that do not fit states of at most so many components."""
+        """Check that the estimator's constants suit states of a given maximum size."""
         del setting, steps
         self.estimator.start(initial_belief(torch.zeros(1, size), torch.eye(size)))
 
@@ -192,18 +191,18 @@ class EstimatorEvaluation:
         novelty: Callable[[Tensor], Tensor] | None = None,
         known: Uncertainty | None = None,
     ) -> Process:
-        """Return the estimator as an online process, its process noise as it is configured.
+        """Build the online process of the estimator, with the configured process noise.
 
         Args:
-            flow: the process model.
+            flow: process model.
             interval: sampling interval of the training data.
-            space: what the numbers mean.
-            case: gives the data that a process noise is fitted to; called only for that.
-            novelty: distance (...) of states (..., D) from the training data, where it is known.
-            known: covariance of the parameters, where it is known.
+            space: description of the state components.
+            case: function that returns the data for fits of process noise; called only if needed.
+            novelty: distance (...) of states (..., D) from the training data, if available.
+            known: covariance of the parameters, if available.
 
         Raises:
-            UserError: the novelty is to count, and is not known; or nothing is known of the parameters.
+            UserError: a required novelty or parameter covariance is unknown.
         """
         noise = given_noise(self.process_noise, space, grown(novelty, self.novelty), flow, known)
         if noise is None:
@@ -213,7 +212,7 @@ class EstimatorEvaluation:
 
     @torch.no_grad()
     def _found(self, case: Case) -> Noise:
-        """Return the process noise that is fitted to validation data."""
+        """Fit the process noise to validation data."""
         require_truth(self.process_noise, case.truth or self.beside)
         shortest = int(case.validation.present.sum(-1).min()) - 1
         setting = self._setting(near_system(case.truth, self.beside, case.space), shortest)
@@ -223,7 +222,7 @@ class EstimatorEvaluation:
     def _outcomes(
         self, who: Who, chosen: Filter, case: Case, setting: Setting, problem: Problem
     ) -> list[Outcome]:
-        """Return what becomes of a filter, and of its smoothers if asked for, in one scenario."""
+        """Return the outcomes of a filter, and of its smoothers if requested, in one scenario."""
         with shown(chosen.flow, described(who, case.label), problem.measurements.shape[1]) as flow:
             chosen = chosen._replace(flow=flow)
             if not (self.smoothers or self.least_squares):
@@ -237,7 +236,7 @@ class EstimatorEvaluation:
         return outcomes
 
     def _filters(self, case: Case, setting: Setting, findings: Findings) -> list[tuple[Who, Filter]]:
-        """Return the filters of the table: the model's, further ones of it, and the floor."""
+        """Return the filters of the table: the model's, its further variants, and the floor."""
         r, size = setting.measurement_noise, case.test.states.shape[-1]
         nothing = torch.zeros(size, size, dtype=torch.float64)
         name = self.estimator.name
@@ -263,7 +262,7 @@ class EstimatorEvaluation:
         return filters
 
     def arcs(self, case: Case, setting: Setting, count: int, steps: int | None, seed: int) -> Problem:
-        """Return arcs of at most so many validation trajectories; no row of the results is of them."""
+        """Return arcs of a limited number of validation trajectories, used for tuning only."""
         if steps is not None and clock_of(case.flow):  # arcs begin anywhere, and a filter at time zero
             message = f"tuning.steps: expected null with forces that depend on time; received {steps}"
             raise UserError(message)
@@ -272,14 +271,14 @@ class EstimatorEvaluation:
         return perturbed_arcs(*given, data.controls, linear=data.linear)
 
     def _problems(self, case: Case, setting: Setting) -> dict[Start, Problem]:
-        """Return the scenarios; both see the same measurements."""
+        """Build the scenarios, which share the same measurements."""
         truth, dt, data = case.test.states, _interval(case), case.test
         measurements = simulated(setting, truth, dt, self.seed)
         known = measurements, dt, data.controls, data.linear
         return {start: Problem(truth, x, *known) for start, x in case.starts().items()}
 
     def settings(self, setting: Setting) -> dict[str, Any]:
-        """Return what was assumed, for metrics.json."""
+        """Return the assumptions, for metrics.json."""
         return {
             "updates": list(setting.updates),
             "measured": list(setting.measurement.names),
@@ -291,6 +290,6 @@ class EstimatorEvaluation:
 
 
 def _interval(case: Case) -> float:
-    """Return the one step of simulated trajectories."""
+    """Return the common step of simulated trajectories."""
     assert isinstance(case.dt, float), "simulated trajectories have one step"
     return case.dt

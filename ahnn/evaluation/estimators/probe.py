@@ -1,4 +1,4 @@
-"""One step of a filter that stands still: whether float64 holds its numbers, before any training."""
+"""Trial step of a filter at rest, to check before training that float64 precision suffices."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ def require_possible(
     option: NoiseOption,
     estimator: Estimator,
 ) -> None:
-    """Refuse numbers with which a filter fails in its first step already.
+    """Check that a filter does not fail in its first step.
 
     Args:
-        setting: measurements and start.
-        system: gives a state.
-        option: process noise; one that is fitted to data is left out.
-        estimator: with its constants.
+        setting: measurement settings and start.
+        system: system that provides a state.
+        option: process noise option; ignored if fitted to data.
+        estimator: estimator with its constants.
 
     Raises:
-        UserError: a filter whose status is not OK, or a covariance that is none.
+        UserError: the filter fails, or a matrix is not a covariance.
     """
     x = system.initial_states(1, torch.Generator().manual_seed(0))
     nothing = torch.zeros(x.shape[-1], x.shape[-1], dtype=torch.float64)

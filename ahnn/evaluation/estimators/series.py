@@ -1,4 +1,4 @@
-"""Series over time that the pictures of a filter show, and that are kept with the predictions."""
+"""Time series for figures of a filter, saved with the predictions."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ahnn.metrics import moving_average
 
 
 class Sawtooth(NamedTuple):
-    """Estimates before and after the update at each step, in turn, so that an update is a vertical line.
+    """Alternating estimates before and after each update, so that an update appears as a vertical line.
 
     Attributes:
-        sample: (2 T + 1,) sample numbers, each but the first twice.
-        mean: (B, 2 T + 1, D).
+        sample: (2 T + 1,) sample indices, each but the first twice.
+        mean: (B, 2 T + 1, D) estimates.
         deviation: (B, 2 T + 1, D) standard deviations.
     """
 
@@ -39,13 +39,13 @@ def sawtooth(outcome: Outcome) -> Sawtooth:
 
 
 def kept(teeth: Sawtooth, member: int) -> dict[str, Tensor]:
-    """Return the estimates of one trajectory, its `mean` and `deviation` (2 T + 1, D), and its number."""
+    """Return `mean` and `deviation` (2 T + 1, D) of one trajectory, and its index."""
     number = torch.tensor([member])
     return {"mean": teeth.mean[member], "deviation": teeth.deviation[member], "member": number}
 
 
 def _in_turn(first: Tensor, before: Tensor, after: Tensor) -> Tensor:
-    """Return first, before_0, after_0, before_1, ..., (B, 2 T + 1, D)."""
+    """Interleave to first, before_0, after_0, before_1, ..., (B, 2 T + 1, D)."""
     return torch.cat((first[:, None], torch.stack((before, after), dim=2).flatten(1, 2)), dim=1)
 
 
@@ -56,9 +56,9 @@ def blocks(x: Tensor, inertia: float | Tensor) -> tuple[Tensor, Tensor]:
 
 
 def rms_over_members(error: Tensor, inertia: float | Tensor) -> Tensor:
-    """Return the rms over living members of the error norms of position and velocity, (2, T).
+    """Return the rms over active members of the error norms of position and velocity, (2, T).
 
-    A member that is lost drops out from there on: how many are lost is in the table, not in a picture.
+    Failed members are excluded from their failure on; their number is in the table.
     """
     norms = [block.square().sum(-1).nanmean(0).sqrt() for block in blocks(error, inertia)]
     return torch.stack(norms)

@@ -1,4 +1,4 @@
-"""From the option `smoother` of an evaluation to the smoothers of the estimator that it asks for."""
+"""Selection of smoothers by the evaluation option `smoother`."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from ahnn.estimation.estimator import Estimator
 
 
 def asked_smoothers(asked: bool | str, estimator: Estimator[Any]) -> list[str]:
-    """Return names of smoothers: none, the first, or all up to the one of a name.
+    """Return the names of smoothers: none, the first, or all up to a named one.
 
     Raises:
-        UserError: another name, or an estimator that has no smoother.
+        UserError: unknown name, or an estimator without smoother.
     """
     known = [*estimator.smoothers]
     if asked is False:

@@ -1,4 +1,4 @@
-"""Where results go: each sink is a value that is called with results and findings, and writes one thing."""
+"""Output sinks: each is called with results and findings, and writes one kind of output."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a sink is, and what it needs of a logger."""
+"""Protocols of sinks and of the logger that they use."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from ahnn.evaluation.results import Results
 
 
 class Sink(Protocol):
-    """A place for results; it knows folder or logger from its construction."""
+    """Output of results; folder or logger are set at construction."""
 
     def __call__(self, results: Results, findings: Findings) -> None:
-        """Write results, or the arrays or figures behind them."""
+        """Write results, or their arrays or figures."""
         ...
 
 
 class TensorBoardLike(Protocol):
-    """The part of Lightning's TensorBoard logger that is used."""
+    """Subset of Lightning's TensorBoard logger that is used."""
 
     @property
     def experiment(self) -> Any:
@@ -25,9 +25,9 @@ class TensorBoardLike(Protocol):
         ...
 
     def log_hyperparams(self, params: dict[str, Any], metrics: dict[str, Any]) -> None:
-        """Write hyper-parameters with the metrics that they led to."""
+        """Write hyper-parameters with the resulting metrics."""
         ...
 
     def finalize(self, status: str) -> None:
-        """Flush what was written."""
+        """Flush the output."""
         ...

@@ -1,4 +1,4 @@
-"""TensorBoard events of an evaluation that no training writes for."""
+"""TensorBoard events of an evaluation outside a training."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import Any
 
 
 class EventBoard:
-    """What `TensorBoardSink` needs of a logger, over torch's own writer.
+    """Logger for `TensorBoardSink`, based on torch's own writer.
 
     Args:
-        folder: for the events.
+        folder: folder of the events.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -19,7 +19,7 @@ class EventBoard:
         self.experiment: Any = SummaryWriter(str(folder))
 
     def log_hyperparams(self, params: dict[str, Any], metrics: dict[str, Any]) -> None:
-        """Write hyper-parameters with the metrics that they led to, and each metric as a scalar."""
+        """Write hyper-parameters with the resulting metrics, and each metric as a scalar."""
         from torch.utils.tensorboard.summary import hparams
 
         plain = {k: v if isinstance(v, int | float | str | bool) else str(v) for k, v in params.items()}

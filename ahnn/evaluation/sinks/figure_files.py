@@ -1,4 +1,4 @@
-"""The figures as files: PNG to look at, SVG to print."""
+"""Figure files: PNG for viewing, SVG for printing."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ahnn.progress import track
 DPI = 150
 FORMATS: dict[str, dict[str, Any]] = {
     ".png": {"dpi": DPI},
-    ".svg": {"dpi": DPI, "metadata": {"Date": None}},  # the same figure is the same file
+    ".svg": {"dpi": DPI, "metadata": {"Date": None}},  # reproducible files
 }
 _DRAWN: WeakKeyDictionary[Figure, dict[str, bytes]] = WeakKeyDictionary()
 
@@ -31,7 +31,7 @@ class FigureSink:
     """Writes the figures into a folder.
 
     Attributes:
-        folder: of the evaluation; pictures of an earlier one in `folder/figures` are removed.
+        folder: folder of the evaluation; earlier figures in `folder/figures` are removed.
     """
 
     folder: Path
@@ -47,23 +47,23 @@ class FigureSink:
 
 
 def clear(folder: Path) -> None:
-    """Remove the pictures in a folder that we drew."""
+    """Remove our figures from a folder."""
     for path in pictures_in(folder):
         remove_own(path)
 
 
 def pictures_in(folder: Path) -> list[Path]:
-    """Return the files of a folder with names of pictures, whoever drew them."""
+    """Return the files of a folder with figure names, of any origin."""
     return sorted(p for p in folder.iterdir() if p.suffix in FORMATS) if folder.is_dir() else []
 
 
 def drawn(figure: Figure, suffix: str) -> bytes:
-    """Return a figure as the content of a file; it is drawn once in each format, however many sinks ask."""
+    """Return a figure as file content; each format is drawn once for all sinks."""
     contents = _DRAWN.setdefault(figure, {})
     if suffix not in contents:
         buffer = io.BytesIO()
         with rc_context({"svg.hashsalt": "ahnn"}):
             figure.savefig(buffer, format=suffix[1:], **FORMATS[suffix])
-        figure.set_layout_engine()  # its parts have their places: an engine would draw once more
+        figure.set_layout_engine()  # the layout is fixed: a layout engine would draw once more
         contents[suffix] = buffer.getvalue()
     return contents[suffix]

@@ -1,4 +1,4 @@
-"""The results as metrics.json."""
+"""Output of results as metrics.json."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class MetricsSink:
     """Writes metrics.json, which `load_results` reads.
 
     Attributes:
-        folder: of the evaluation.
+        folder: folder of the evaluation.
     """
 
     folder: Path

@@ -1,4 +1,4 @@
-"""The predicted trajectories as predictions.safetensors."""
+"""Output of predicted trajectories as predictions.safetensors."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from ahnn.manifest import remove_own
 @final
 @dataclass(frozen=True)
 class PredictionSink:
-    """Writes the arrays of an evaluation, or removes those of an earlier one in its place.
+    """Writes the arrays of an evaluation, or removes those of an earlier one.
 
     Attributes:
-        folder: of the evaluation.
-        keep: whether to write them.
+        folder: folder of the evaluation.
+        keep: whether to write the arrays.
     """
 
     folder: Path

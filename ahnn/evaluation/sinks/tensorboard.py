@@ -1,4 +1,4 @@
-"""The scores and figures in TensorBoard."""
+"""Output of scores and figures to TensorBoard."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from ahnn.evaluation.titles import metric_name
 @final
 @dataclass(frozen=True)
 class TensorBoardSink:
-    """Writes hyper-parameters with the scores that they led to, and the figures.
+    """Writes hyper-parameters with the resulting scores, and figures.
 
-    Scores have names without the model's label, so that the runs of several models stand in one column.
+    Scores have names without the model's label, so that runs of several models share a column.
 
     Attributes:
-        logger: Lightning's TensorBoard logger, or one like it.
-        settings: nested hyper-parameters beside system, model and what it assumes.
+        logger: Lightning's TensorBoard logger, or a compatible one.
+        settings: nested hyper-parameters in addition to system, model and its assumptions.
     """
 
     logger: TensorBoardLike
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def __call__(self, results: Results, findings: Findings) -> None:
-        """Write the HPARAMS entry, whose metrics are the scores of all rows but the floors', and figures."""
+        """Write figures and the HPARAMS entry with the scores of all rows except floors."""
         self.logger.log_hyperparams(hyperparameters(results, self.settings), scores(results))
         for name, figure in findings.figures.items():
             self.logger.experiment.file_writer.add_summary(image(name, drawn(figure, ".png")), 0)
@@ -40,22 +40,22 @@ class TensorBoardSink:
 
 
 def image(name: str, png: bytes) -> Any:
-    """Return the summary that TensorBoard shows as a picture, of the content of a PNG file."""
+    """Return a TensorBoard image summary from the content of a PNG file."""
     from tensorboard.compat.proto.summary_pb2 import Summary  # pyright: ignore[reportAttributeAccessIssue]
 
-    width, height = struct.unpack(">II", png[16:24])  # of its header
+    width, height = struct.unpack(">II", png[16:24])  # from its header
     shown = Summary.Image(encoded_image_string=png, width=width, height=height, colorspace=4)  # RGBA
     return Summary(value=[Summary.Value(tag=name, image=shown)])
 
 
 def hyperparameters(results: Results, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings under dotted names, led by system, model and what it assumes."""
+    """Return settings under dotted names, beginning with system, model and its assumptions."""
     about = {"system": results.space.name, "model": results.label, "assumes": results.assumes}
     return {**about, **{k: v for k, v in flatten(settings).items() if k not in about}}
 
 
 def scores(results: Results) -> dict[str, float]:
-    """Return the scores of all rows but the floors' under names that all runs share."""
+    """Return the scores of all rows except floors, under names common to all runs."""
     found: dict[str, float] = {}
     loss = results.training.get("val_loss")
     if isinstance(loss, int | float):

@@ -1,4 +1,4 @@
-"""The table on standard output."""
+"""Output of the results table to standard output."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from ahnn.evaluation.terminal import show
 @final
 @dataclass(frozen=True)
 class TableSink:
-    """Prints the results.
+    """Prints the results table.
 
     Attributes:
-        detail: whether with pooled errors and those of each component.
+        detail: whether to include pooled and component errors.
     """
 
     detail: bool = False

@@ -1,4 +1,4 @@
-"""Gravity fields as spherical harmonics: coefficients, files of them, potential and attraction."""
+"""Gravity fields as spherical harmonics: coefficients, files, potential and attraction."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""EIGEN-6S to degree and order 12 (Förste et al. 2011, GFZ and GRGS), a field of the Earth from satellites.
+"""EIGEN-6S to degree and order 12 (Förste et al. 2011, GFZ and GRGS), a satellite-only Earth gravity field.
 
 At 2013-01-01: the published coefficients of 2005 with their trends, without annual and semiannual terms.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 from ahnn.systems.gravity.field import GravityField
 
 MU, RADIUS = 398600.4415, 6378.13646
-"""km^3/s^2 and km; they belong to the coefficients."""
+"""Gravitational parameter in km^3/s^2 and reference radius in km of the coefficients."""
 
 # fmt: off
 ROWS: tuple[tuple[int, int, float, float], ...] = (

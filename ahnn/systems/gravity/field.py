@@ -1,4 +1,4 @@
-"""A gravity field: its coefficients, its potential and its attraction."""
+"""Gravity field: coefficients, potential and attraction."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from ahnn.errors import UserError
 from ahnn.systems.gravity.harmonics import Coefficients, gradient, in_a_row, solid_harmonics
 
 Tide = Literal["zero_tide", "tide_free", "mean_tide", "unknown"]
-"""What of the permanent tide C_20 contains (IERS Conventions 2010, section 1.1)."""
+"""Tide systems: treatment of the permanent tide in C_20 (IERS Conventions 2010, section 1.1)."""
 HIGHEST = 1900
-"""Beyond this degree double precision loses harmonics near the poles (Holmes & Featherstone 2002)."""
+"""Degree above which double precision loses harmonics near the poles (Holmes & Featherstone 2002)."""
 
 
 @dataclass(frozen=True, eq=False)
 class GravityField:
-    """A static field as a series of spherical harmonics, in axes that are fixed to the body.
+    """Static gravity field as a spherical harmonic series in body-fixed axes.
 
     Attributes:
-        name: of the model.
+        name: name of the model.
         mu: gravitational parameter in km^3/s^2.
         radius: reference radius in km.
         cosines, sines: fully normalised coefficients (N + 1, M + 1), row n and column m.
@@ -45,7 +45,7 @@ class GravityField:
     def of_rows(
         cls, name: str, mu: float, radius: float, rows: Sequence[tuple[int, int, float, float]], tide: Tide
     ) -> GravityField:
-        """Return the field of rows n, m, C_nm and S_nm, fully normalised; C_00 is 1 and others are 0."""
+        """Build the field from rows n, m, C_nm, S_nm, fully normalised; C_00 is 1, others default to 0."""
         size = 1 + max(row[0] for row in rows)
         cosines, sines = np.zeros((2, size, size))
         cosines[0, 0] = 1.0
@@ -55,19 +55,19 @@ class GravityField:
 
     @property
     def degree(self) -> int:
-        """The highest degree N."""
+        """Maximum degree N."""
         return len(self.cosines) - 1
 
     @property
     def order(self) -> int:
-        """The highest order M."""
+        """Maximum order M."""
         return self.cosines.shape[1] - 1
 
     def cut(self, degree: int, order: int) -> GravityField:
-        """Return the field to a lower degree and order.
+        """Truncate the field to a lower degree and order.
 
         Raises:
-            UserError: it does not reach so far, or the order is above the degree.
+            UserError: the degree or order is not available, or the order exceeds the degree.
         """
         highest = min(self.degree, HIGHEST)
         for name, received, most in (("degree", degree, highest), ("order", order, min(degree, self.order))):
@@ -79,7 +79,7 @@ class GravityField:
 
     @cached_property
     def checksum(self) -> str:
-        """SHA-256 of all that determines the attraction."""
+        """SHA-256 of all data that determine the attraction."""
         digest = hashlib.sha256(repr((self.mu, self.radius, self.cosines.shape)).encode())
         digest.update(self.cosines.tobytes() + self.sines.tobytes())
         return digest.hexdigest()

@@ -1,8 +1,8 @@
-"""Gravity fields in files of the ICGEM format (.gfc).
+"""Reading of gravity fields in ICGEM format (.gfc).
 
-Barthelmes & Förste, The ICGEM-format, GFZ Potsdam 2011. Coefficients that vary in time (rows gfct) are taken
+Barthelmes & Förste, The ICGEM-format, GFZ Potsdam 2011. Time-variable coefficients (rows gfct) are evaluated
 at an epoch: C(t) = C(t0) + trnd s + sum of acos cos(2 pi s / T) + asin sin(2 pi s / T), s = t - t0 in years.
-Of version 2.0 the static fields are read.
+Version 2.0 is supported for static fields.
 """
 
 from __future__ import annotations
@@ -29,30 +29,30 @@ KNOWN: dict[str, tuple[str, ...]] = {
     "tide_system": get_args(Tide),
     "format": ("icgem1.0", "icgem2.0"),
 }
-"""Keywords of the header with the values that can be read; the first stands where there is none."""
+"""Supported values of header keywords; the first is the default."""
 LARGEST = 500_000_000
-"""Bytes of a file; one to degree 2190 has 250 million."""
+"""Maximum file size in bytes; a field to degree 2190 has 250 million."""
 PLAIN = 80
-"""Beyond this degree factors of the normalisation are no floats."""
+"""Degree above which normalisation factors overflow."""
 NEWTON = 6.6743e-11
 """Newton's constant, m^3/(kg s^2)."""
 DENSITIES, STONES, SMALL = (10.0, 1e5), 4500.0, 1e5
-"""Mean densities of bodies in kg/m^3, the highest of small ones, and the radius in m that these are below."""
+"""Maximum mean densities in kg/m^3, of all bodies and of small ones, and the radius limit of these in m."""
 MASS, OFFSET = 1e-4, 1e-6
-"""What C of degree 0 may be off by, and coefficients of degree 1: on the Earth 11 m."""
+"""Tolerance of C of degree 0, and of coefficients of degree 1: 11 m on the Earth."""
 CONVENTION: dict[Index, Coefficient] = {(0, 0): (1.0, 0.0), (1, 0): (0.0, 0.0), (1, 1): (0.0, 0.0)}
-"""What a file may leave out: the mass is that of mu, the origin the centre of mass."""
+"""Optional coefficients: the mass is that of mu, the origin the centre of mass."""
 
 
 def read_gfc(path: Path | str, epoch: str | None = None) -> GravityField:
-    """Return the gravity field in a file, in km and s.
+    """Read the gravity field in a file, in km and s.
 
     Args:
-        path: of the file.
-        epoch: YYYY-MM-DD, at which coefficients that vary in time are taken.
+        path: path of the file.
+        epoch: epoch of time-variable coefficients, YYYY-MM-DD.
 
     Raises:
-        UserError: no such file, or what is wrong with it, with the row.
+        UserError: a missing file, or an error in it, with the row.
     """
     file = CoefficientLine(str(path), 0, [])
     try:
@@ -79,15 +79,15 @@ def read_gfc(path: Path | str, epoch: str | None = None) -> GravityField:
 
 
 def header(lines: list[CoefficientLine], file: CoefficientLine) -> dict[str, CoefficientLine]:
-    """Return the lines of the header by their keyword; what stands before begin_of_head is a comment.
+    """Return header lines by keyword; text before begin_of_head is a comment.
 
     Raises:
-        UserError: a keyword that is missing, there twice, or with a value that cannot be read.
+        UserError: a keyword that is missing, duplicate, or with an invalid value.
     """
     starts = [k for k, line in enumerate(lines) if line.word(0) == "begin_of_head"]
     head: dict[str, CoefficientLine] = {}
     for line in lines[starts[0] + 1 if starts else 0 :]:
-        name = MU if line.word(0) == "gravity_constant" else line.word(0)  # of other bodies
+        name = MU if line.word(0) == "gravity_constant" else line.word(0)  # fields of other bodies
         if name not in (MU, RADIUS, DEGREE, "modelname", *KNOWN):
             continue
         if len(line.words) < 2 or name in head:
@@ -102,7 +102,7 @@ def header(lines: list[CoefficientLine], file: CoefficientLine) -> dict[str, Coe
 
 
 def require_all(found: Mapping[Index, Any], degree: int, file: CoefficientLine) -> None:
-    """Refuse a file that has not all coefficients up to its degree; raises UserError."""
+    """Raise UserError for a file without all coefficients up to its degree."""
     if sum(n <= degree for n, _ in found) == (degree + 1) * (degree + 2) // 2:
         return
     pairs = ((n, m) for n in range(degree + 1) for m in range(n + 1))
@@ -116,10 +116,10 @@ def assembled(
     head: Mapping[str, CoefficientLine],
     file: CoefficientLine,
 ) -> GravityField:
-    """Return the field of coefficients and a header.
+    """Build the field from coefficients and a header.
 
     Raises:
-        UserError: mu or radius that are none, or coefficients beyond what a float holds.
+        UserError: an invalid mu or radius, or coefficients that overflow.
     """
     mu, radius = head[MU].number(1, MU), head[RADIUS].number(1, RADIUS)
     plain = head.get("norm", file).word(1) == "unnormalized"
@@ -143,8 +143,8 @@ def assembled(
 
 
 def require_body(mu: float, radius: float, head: Mapping[str, CoefficientLine]) -> None:
-    """Refuse a mass and a radius that no body has, as of numbers in km; raises UserError."""
-    with np.errstate(over="ignore"):  # numbers that no body has, either
+    """Raise UserError for an impossible mass and radius, for example with numbers in km."""
+    with np.errstate(over="ignore"):  # not those of any body
         density = np.float64(mu) / (4 / 3 * pi * NEWTON * np.float64(radius) ** 3)
     low, high = DENSITIES
     if not low <= density <= (STONES if radius < SMALL else high):
@@ -158,7 +158,7 @@ def require_body(mu: float, radius: float, head: Mapping[str, CoefficientLine]) 
 
 
 def require_centred(cosines: Coefficients, sines: Coefficients, file: CoefficientLine) -> None:
-    """Refuse coefficients that are no body's field about its own centre of mass; raises UserError."""
+    """Raise UserError for coefficients that do not refer to the body's centre of mass."""
     if abs(cosines[0, 0] - 1) > MASS:
         file.refuse("C of n, m = (0, 0) = 1: the mass is that of the constant", f"{cosines[0, 0]:g}")
     first = max(abs(cosines[1, :2]).max(), abs(sines[1, 1]))
@@ -170,11 +170,11 @@ def require_centred(cosines: Coefficients, sines: Coefficients, file: Coefficien
 
 
 def one(n: int, m: int) -> float:
-    """Return the factor of coefficients that are normalised already."""
+    """Return the factor 1 of normalised coefficients."""
     del n, m
     return 1.0
 
 
 def inverse_normalisation(n: int, m: int) -> float:
-    """Return 1 / sqrt((2 - [m = 0]) (2 n + 1) (n - m)! / (n + m)!), which normalises a plain coefficient."""
+    """Return 1 / sqrt((2 - [m = 0]) (2 n + 1) (n - m)! / (n + m)!), the normalisation of a coefficient."""
     return sqrt(perm(n + m, 2 * m) / ((1 if m == 0 else 2) * (2 * n + 1)))

@@ -5,9 +5,9 @@ from __future__ import annotations
 from ahnn.systems.gravity.field import GravityField
 
 MU, RADIUS = 398600.4415, 6378.1363
-"""km^3/s^2 and km; they belong to the coefficients."""
+"""Gravitational parameter in km^3/s^2 and reference radius in km of the coefficients."""
 PERMANENT_TIDE = 4.173e-9
-"""C_20 without the permanent tide less C_20 with it, as the authors of the field give it."""
+"""C_20 without minus with the permanent tide, as given by the authors of the field."""
 
 # fmt: off
 ROWS: tuple[tuple[int, int, float, float], ...] = (
@@ -62,8 +62,8 @@ def ggm05c(tide: str = "zero_tide") -> GravityField:
     """Return GGM05C to degree and order 8.
 
     Args:
-        tide: `zero_tide`, as it is published, or `tide_free`, without the Earth's permanent deformation. Any
-            other leaves it as it is published.
+        tide: `zero_tide`, as published, or `tide_free`, without the Earth's permanent deformation. Any other
+            value leaves the field as published.
     """
     if tide != "tide_free":
         return GravityField.of_rows("GGM05C", MU, RADIUS, ROWS, "zero_tide")

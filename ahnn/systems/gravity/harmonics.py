@@ -1,10 +1,10 @@
-"""Solid spherical harmonics, fully normalised, as polynomials in Cartesian coordinates: no pole is singular.
+"""Solid spherical harmonics, fully normalised, in Cartesian coordinates without singularity at the poles.
 
     V_nm + i W_nm = (R / r)^(n + 1) P_nm(sin latitude) exp(i m longitude),    P_nm normalised to 4 pi
 
 Cunningham's recursion (Celest. Mech. 2, 207-216, 1970; Montenbruck & Gill, Satellite Orbits, section 3.2.4)
 multiplies by x + i y from one order to the next and by z from one degree to the next, here with normalised
-factors, so that numbers stay near 1 up to a degree of about 1900. The derivative of a harmonic is a harmonic
+factors, so that values stay near 1 up to degree 1900 or so. The derivative of a harmonic is a harmonic
 of the next degree: a gradient is a series like the potential, with other coefficients.
 """
 
@@ -20,16 +20,16 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 Coefficients = NDArray[np.float64]
-"""C_nm or S_nm of degrees n to N and orders m to M <= N, shape (N + 1, M + 1); what has m > n is not used."""
+"""C_nm or S_nm for degrees to N and orders to M <= N, shape (N + 1, M + 1); those with m > n are unused."""
 
 
 class Factors(NamedTuple):
-    """Factors of the recursion to a degree.
+    """Factors of the recursion up to a degree.
 
     Attributes:
-        along: (columns,) of z times the harmonics one degree before.
-        before: (columns,) of R^2 / r^2 times those two degrees before.
-        across: of x + i y times the last harmonic one degree before.
+        along: (columns,) factors of z times the harmonics of the previous degree.
+        before: (columns,) factors of R^2 / r^2 times those two degrees before.
+        across: factors of x + i y times the last harmonic of the previous degree.
     """
 
     along: Tensor
@@ -38,15 +38,15 @@ class Factors(NamedTuple):
 
 
 def solid_harmonics(q: Tensor, radius: float, degree: int, order: int) -> Tensor:
-    """Return V_nm + i W_nm of all degrees up to `degree` and orders up to `order`, complex, shape (..., K).
+    """Return complex V_nm + i W_nm for all degrees up to `degree` and orders up to `order`, (..., K).
 
-    Sorted by degree, within it by order, as `in_a_row` sorts coefficients.
+    Sorted by degree, then by order, as by `in_a_row`.
 
     Args:
         q: positions, (..., 3), from the centre.
-        radius: R, in the same unit.
-        degree: the highest.
-        order: the highest, at most the degree.
+        radius: reference radius R, in the same unit.
+        degree: maximum degree.
+        order: maximum order, at most the degree.
     """
     inverse = (q * q).sum(-1, keepdim=True).reciprocal()
     x, y, z = (radius * inverse * q).split(1, dim=-1)
@@ -75,7 +75,7 @@ def _factors(n: int, order: int) -> Factors:
 
 
 def in_a_row(cosines: Coefficients, sines: Coefficients) -> Tensor:
-    """Return coefficients in the order of `solid_harmonics`, C and S in turn, shape (2 K,)."""
+    """Return coefficients in the order of `solid_harmonics`, C and S alternating, shape (2 K,)."""
     pairs = np.stack((cosines, sines), axis=-1)
     return torch.from_numpy(np.concatenate([row[: n + 1].ravel() for n, row in enumerate(pairs)]))
 
@@ -90,11 +90,11 @@ def gradient(cosines: Coefficients, sines: Coefficients) -> list[tuple[Coefficie
     degrees, orders = cosines.shape
     n, m = np.indices(cosines.shape, dtype=np.float64)
     below = m <= n
-    c = np.where(below, cosines - 1j * np.where(m == 0, 0.0, sines), 0)  # W_n0 is 0, whatever S_n0
+    c = np.where(below, cosines - 1j * np.where(m == 0, 0.0, sines), 0)  # W_n0 is 0 for any S_n0
     scale = np.where(below, (2 * n + 1) / (2 * n + 3), 0.0)
     falling = np.where(below, n - m + 1, 0.0)
     up, down, along = np.zeros((3, degrees + 1, orders + 1), dtype=np.complex128)
-    # Half of each, but all of it from order 0, whose two neighbours are conjugate to one another.
+    # Half of each, but all of it for order 0, whose two neighbours are complex conjugates.
     up[1:, 1:] = -c * np.sqrt(scale * (n + m + 1) * (n + m + 2)) * np.where(m == 0, 0.5**0.5, 0.5)
     lower = 0.5 * c.conj() * np.sqrt(scale * falling * (falling + 1)) * np.where(m == 1, 2**0.5, 1)
     down[1:, : orders - 1] = lower[:, 1:]

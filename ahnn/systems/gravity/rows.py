@@ -1,4 +1,4 @@
-"""The rows of a gravity field's file: coefficients by degree and order, what varies in time at an epoch."""
+"""Rows of a gravity field file: coefficients by degree and order, evaluated at an epoch."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?", re.ASCII)
 WHOLE = re.compile(r"\d{1,6}", re.ASCII)
 STATIC, VARIES, CHANGES = "gfc", "gfct", ("trnd", "dot", "acos", "asin")
 YEAR = 365.25
-"""Days of a year of the format."""
+"""Days per year in the format."""
 
 Index = tuple[int, int]
 """Degree n and order m."""
@@ -22,12 +22,12 @@ Coefficient = tuple[float, float]
 
 
 class CoefficientLine(NamedTuple):
-    """A line with the place that it has, for messages.
+    """Line with its place, for messages.
 
     Attributes:
-        file: its name.
-        row: from 1; 0 is the file as a whole.
-        words: what stands in it.
+        file: file name.
+        row: line number from 1; 0 for the whole file.
+        words: words of the line.
     """
 
     file: str
@@ -35,13 +35,13 @@ class CoefficientLine(NamedTuple):
     words: list[str]
 
     def refuse(self, expected: str, received: object) -> NoReturn:
-        """Say what is wrong here; raises UserError."""
+        """Raise UserError with a description of the error in this line."""
         row = f", row {self.row}" if self.row else ""
         message = f"{self.file}{row}: expected {expected}; received {received}"
         raise UserError(message)
 
     def word(self, column: int) -> str:
-        """Return what stands in a column."""
+        """Return the word in a column."""
         return self.words[column][:60] if column < len(self.words) else "nothing"
 
     def number(self, column: int, what: str) -> float:
@@ -64,12 +64,12 @@ def coefficients(lines: list[CoefficientLine], degree: int, epoch: str | None) -
     """Return C and S of every row by degree and order.
 
     Args:
-        lines: the rows behind the header.
-        degree: the highest of the file.
-        epoch: YYYY-MM-DD, at which coefficients that vary in time are taken.
+        lines: rows after the header.
+        degree: maximum degree of the file.
+        epoch: epoch of time-variable coefficients, YYYY-MM-DD.
 
     Raises:
-        UserError: what is wrong with a row.
+        UserError: an invalid row.
     """
     rows: dict[Index, CoefficientLine] = {}
     changes: list[tuple[Index, CoefficientLine]] = []
@@ -121,7 +121,7 @@ def _years(line: CoefficientLine, epoch: str | None) -> float:
 
 
 def _factor(line: CoefficientLine, years: float) -> float:
-    """Return what the coefficients of a change are multiplied with."""
+    """Return the time factor of the coefficients of a change."""
     key = line.word(0)
     if key in ("trnd", "dot"):
         return years

@@ -1,4 +1,4 @@
-"""What accelerates a satellite: known terms and learned ones, with their derivatives."""
+"""Known and learned accelerations of a satellite, with derivatives."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An acceleration as a sum of functions of time: polynomials, or a spline that is learned."""
+"""Acceleration as a sum of functions of time: polynomials or a learned spline."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from ahnn.tracking.accelerations.contract import NONE, Acceleration, Array, inne
 
 Axes = Literal["inertial", "orbital"]
 LETTERS: dict[str, str] = {"inertial": "XYZ", "orbital": "RTN"}
-"""X, Y, Z of GCRF; or radial, along the track and normal to the orbit."""
+"""Axes X, Y, Z of GCRF; or radial, along-track and cross-track."""
 
 
 class TimeBasis(Protocol):
-    """Functions of time."""
+    """Basis functions of time."""
 
     size: int
     unit: float
-    """km/s^2 that a weight of 1 stands for, times the function."""
+    """Acceleration in km/s^2 for a weight of 1, times the function."""
 
     def __call__(self, t: Array) -> Array:
         """Return the functions at times (T,), shape (T, size)."""
@@ -45,7 +45,7 @@ class CubicSplines:
         self.spacing = (last - first) / pieces
 
     def __call__(self, t: Array) -> Array:
-        """Return the splines at times (T,), shape (T, size); outside the value at the nearer end."""
+        """Return the splines at times (T,), shape (T, size); clamped outside the span."""
         at = (np.clip(np.asarray(t, dtype=np.float64), self.first, self.last) - self.first) / self.spacing
         piece = np.minimum(at.astype(np.int64), self.size - 4)
         s = at - piece
@@ -58,17 +58,17 @@ class CubicSplines:
 
     @property
     def centres(self) -> Array:
-        """Where each spline is highest, (size,)."""
+        """Time of each spline's maximum, (size,)."""
         return self.first + self.spacing * np.arange(-1.0, self.size - 1.0)
 
 
 class AccelerationOfTime:
-    """The sum of basis functions in three axes; its parameters are weights, in units of the basis.
+    """Sum of basis functions in three axes; the parameters are weights, in units of the basis.
 
     Args:
         basis: functions of time.
-        axes: in which it acts.
-        name: before those of its parameters.
+        axes: axes of the acceleration.
+        name: prefix of parameter names.
     """
 
     def __init__(self, basis: TimeBasis, axes: Axes, name: str = "acceleration") -> None:
@@ -76,7 +76,7 @@ class AccelerationOfTime:
         self.parameters = tuple(f"{name} {letter}{k}" for letter in LETTERS[axes] for k in range(basis.size))
 
     def __call__(self, t: float, r: Array, v: Array, p: Array) -> Acceleration:
-        """Return the acceleration at a state; derivatives leave out that orbital axes turn with it."""
+        """Return the acceleration at a state; derivatives neglect the rotation of orbital axes."""
         values = self.basis.unit * self.basis(np.array([t]))[0]
         inertial = self.axes == "inertial"
         frame = np.broadcast_to(np.eye(3), (*r.shape, 3)) if inertial else orbital_axes(r, v)

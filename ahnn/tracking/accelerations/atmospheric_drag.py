@@ -1,4 +1,4 @@
-"""Drag of an atmosphere that turns with the Earth and thins out exponentially."""
+"""Drag of an exponential atmosphere that rotates with the Earth."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import numpy as np
 from ahnn.tracking.accelerations.contract import Acceleration, Array, inner, outer
 
 ROTATION = 7.292115e-5
-"""Rate of the Earth, rad/s (IERS Conventions 2010, table 1.2)."""
+"""Rotation rate of the Earth, rad/s (IERS Conventions 2010, table 1.2)."""
 RADIUS = 6378.137
-"""km."""
+"""Radius of the Earth, km."""
 LAYERS = np.array(
     [
         (150.0, 2.070e-9, 22.523),
@@ -32,7 +32,7 @@ LAYERS = np.array(
 
 
 class AtmosphericDrag:
-    """Acceleration against the wind, with one parameter: the drag coefficient (1).
+    """Drag acceleration, with one parameter: the drag coefficient (dimensionless).
 
     Args:
         area_to_mass: m^2/kg.
@@ -59,7 +59,7 @@ class AtmosphericDrag:
 
 
 def atmosphere(height: Array) -> tuple[Array, Array]:
-    """Return densities in kg/m^3 and scale heights in km at heights in km; the lowest layer goes on down."""
+    """Return densities in kg/m^3 and scale heights in km at heights in km; the lowest is extrapolated."""
     layer = np.maximum(0, np.searchsorted(LAYERS[:, 0], height, side="right") - 1)
     base, density, scale = np.moveaxis(LAYERS[layer], -1, 0)
     return density * np.exp((base - height) / scale), scale

@@ -1,4 +1,4 @@
-"""What every acceleration of a satellite offers."""
+"""Interface of satellite accelerations."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class Acceleration(NamedTuple):
 
 
 class AccelerationTerm(Protocol):
-    """One cause of acceleration."""
+    """Term of the acceleration."""
 
     parameters: tuple[str, ...]
-    """Names of what can be estimated of it, each with its unit in the term's docstring."""
+    """Names of the parameters that can be estimated, with units in the term's docstring."""
 
     def __call__(self, t: float, r: Array, v: Array, p: Array) -> Acceleration:
         """Return the acceleration of a satellite.
@@ -46,7 +46,7 @@ class AccelerationTerm(Protocol):
 
 
 def known(value: Array, by_position: Array, by_velocity: Array = NONE) -> Acceleration:
-    """Return an acceleration that has no parameters."""
+    """Build an acceleration without parameters."""
     return Acceleration(value, by_position, by_velocity, np.empty((3, 0)))
 
 

@@ -1,4 +1,4 @@
-"""The Earth's gravity: spherical harmonics in axes that turn with it."""
+"""The Earth's gravity: spherical harmonics in Earth-fixed axes."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ class EarthGravity:
     """Attraction by a static field.
 
     Args:
-        field: its coefficients, in the axes of ITRF.
-        rotation: of these axes.
+        field: gravity field with coefficients in ITRF.
+        rotation: rotation from GCRF to ITRF.
     """
 
     parameters: tuple[str, ...] = ()
@@ -25,7 +25,7 @@ class EarthGravity:
         self.field, self._rotation = field, rotation
         first = gradient(field.cosines, field.sines)
         second = [part for one in first for part in gradient(*one)]
-        wide = [tuple(np.pad(part, ((0, 1), (0, 1))) for part in one) for one in first]  # as long as those
+        wide = [tuple(np.pad(part, ((0, 1), (0, 1))) for part in one) for one in first]  # equal length
         self._series = np.stack([in_a_row(*part).numpy() for part in (*wide, *second)], -1)
         self._recursion = recursion(field.degree + 2, min(field.order, field.degree) + 2)
 
@@ -41,11 +41,11 @@ class EarthGravity:
 
 
 Recursion = tuple[tuple[Array, Array, float], ...]
-"""For each degree from 1: factors of z times the degree before, of those two before, and of x + i y."""
+"""For each degree from 1: factors of z times the previous degree, of the one before that, and of x + i y."""
 
 
 def recursion(degree: int, order: int) -> Recursion:
-    """Return the factors of `ahnn.systems.gravity.harmonics` for one point after another."""
+    """Return the factors of `ahnn.systems.gravity.harmonics` for single points."""
     found = []
     for n in range(1, degree + 1):
         m = np.arange(min(n - 1, order) + 1)

@@ -1,4 +1,4 @@
-"""The bulge that Sun and Moon raise on the solid Earth, of degree 2 (IERS Conventions 2010, 6.2.1)."""
+"""Solid Earth tide of Sun and Moon, of degree 2 (IERS Conventions 2010, 6.2.1)."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 from ahnn.tracking.accelerations.contract import Acceleration, Array, inner, known, outer
 
 LOVE = 0.30190
-"""k_20 of the elastic Earth (IERS Conventions 2010, table 6.3)."""
+"""Love number k_20 of the elastic Earth (IERS Conventions 2010, table 6.3)."""
 RADIUS = 6378.1366
-"""km, to which the number belongs."""
+"""Reference radius of the Love number, km."""
 
 
 class EarthTide:
-    """Attraction by the tide that a body raises; its constant part is there, so the field is tide-free.
+    """Attraction by the tide of a body; includes the permanent part, so the field must be tide-free.
 
-    The potential is k2 mu / d^3 R^5 / r^3 (3 cos^2 z - 1) / 2, z the angle between satellite and body.
+    The potential is k2 mu / d^3 R^5 / r^3 (3 cos^2 z - 1) / 2, with z the angle between satellite and body.
 
     Args:
         mu: gravitational parameter of the body, km^3/s^2.
-        position: t -> (3,) km from the Earth's centre.
+        position: t -> (3,) geocentric position, km.
     """
 
     parameters: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""The pressure of sunlight on a sphere, behind a shadow with a penumbra."""
+"""Solar radiation pressure on a sphere, with umbra and penumbra."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 from ahnn.tracking.accelerations.contract import NONE, Acceleration, Array, inner, outer
 
 PRESSURE = 1361.0 / 299792458.0
-"""N/m^2 at one astronomical unit: total solar irradiance (Kopp & Lean 2011) over the speed of light."""
+"""Radiation pressure in N/m^2 at 1 au: total solar irradiance (Kopp & Lean 2011) over the speed of light."""
 UNIT = 149597870.7
 """Astronomical unit, km."""
 SUN_RADIUS, EARTH_RADIUS = 695700.0, 6378.137
-"""km (IAU 2015 resolution B3, WGS 84)."""
+"""Radii of Sun and Earth, km (IAU 2015 resolution B3, WGS 84)."""
 
 
 class RadiationPressure:
-    """Acceleration away from the Sun, with one parameter: the coefficient of reflection (1).
+    """Acceleration away from the Sun, with one parameter: the reflection coefficient (dimensionless).
 
     Args:
         area_to_mass: m^2/kg.
-        sun: t -> (3,) km from the Earth's centre.
+        sun: t -> (3,) geocentric position, km.
     """
 
     parameters: tuple[str, ...] = ("reflection",)
@@ -30,7 +30,7 @@ class RadiationPressure:
         self.strength, self.sun = PRESSURE * area_to_mass * UNIT**2 / 1e3, sun
 
     def __call__(self, t: float, r: Array, v: Array, p: Array) -> Acceleration:
-        """Return the acceleration at a state; the shadow's own slope is left out of the derivatives."""
+        """Return the acceleration at a state; derivatives neglect the gradient of the shadow."""
         del v
         sun = self.sun(t)
         line = r - sun
@@ -42,7 +42,7 @@ class RadiationPressure:
 
 
 def lit_fraction(r: Array, sun: Array) -> Array:
-    """Return the fraction of the Sun's disk that the Earth does not hide, (...) (Montenbruck & Gill, 3.4.2).
+    """Return the fraction of the Sun's disk not hidden by the Earth, (...) (Montenbruck & Gill, 3.4.2).
 
     Args:
         r: satellite, (..., 3) km from the Earth's centre.

@@ -1,4 +1,4 @@
-"""What general relativity adds to the Earth's attraction (IERS Conventions 2010, 10.12, the first term)."""
+"""Relativistic correction of the Earth's attraction (IERS Conventions 2010, 10.12, the first term)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ LIGHT = 299792.458
 
 
 class SchwarzschildTerm:
-    """mu / (c^2 r^3) ((4 mu / r - v^2) r + 4 (r v) v).
+    """Schwarzschild term mu / (c^2 r^3) ((4 mu / r - v^2) r + 4 (r v) v).
 
     Args:
         mu: gravitational parameter of the Earth, km^3/s^2.

@@ -1,4 +1,4 @@
-"""A body beyond the Earth: what it attracts a satellite with, less what it attracts the Earth with."""
+"""Third-body perturbation: attraction of the satellite minus that of the Earth."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from ahnn.tracking.accelerations.contract import Acceleration, Array, inner, kno
 
 
 class ThirdBody:
-    """Attraction by Sun or Moon as a point (Montenbruck & Gill, Satellite Orbits, 3.37).
+    """Attraction by Sun or Moon as a point mass (Montenbruck & Gill, Satellite Orbits, 3.37).
 
     Args:
         mu: gravitational parameter, km^3/s^2.
-        position: t -> (3,) km from the Earth's centre.
+        position: t -> (3,) geocentric position, km.
     """
 
     parameters: tuple[str, ...] = ()

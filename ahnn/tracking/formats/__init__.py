@@ -1,1 +1,1 @@
-"""Files of tracking data, of stations and of the Earth's orientation, refused by the line that is wrong."""
+"""File formats of tracking data, stations and Earth orientation, with errors reported by line."""

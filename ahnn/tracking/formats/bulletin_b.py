@@ -1,4 +1,4 @@
-"""Bulletins B of the IERS: polar motion and UT1 - UTC of each day, in their layout since 2010.
+"""IERS Bulletins B: daily polar motion and UT1 - UTC, in the format since 2010.
 
 Section 1 of a bulletin has a line for each day at 0 h UTC: final values of a month and a preliminary
 extension.
@@ -26,14 +26,14 @@ DAY = re.compile(r"\s*\d{4}\s+\d{1,2}\s+\d{1,2}\s")
 
 
 class EarthOrientation(NamedTuple):
-    """Orientation of the Earth at 0 h UTC of days that follow one another.
+    """Orientation of the Earth at 0 h UTC of consecutive days.
 
     Attributes:
         mjd: (D,) modified Julian dates, increasing.
         x, y: (D,) coordinates of the pole in arcseconds.
         ut1_utc: (D,) UT1 - UTC in seconds.
         pole: (D, 2) offsets dX, dY of the celestial pole from IAU 2006/2000A in arcseconds.
-        final: (D,) whether the values are final, and not preliminary.
+        final: (D,) whether the values are final instead of preliminary.
     """
 
     mjd: NDArray[np.float64]
@@ -45,10 +45,10 @@ class EarthOrientation(NamedTuple):
 
 
 def read_bulletins(paths: str | Path | Sequence[str | Path]) -> EarthOrientation:
-    """Return the daily values of one or several bulletins; where they overlap, final values go first.
+    """Read the daily values of one or several bulletins; in overlaps final values take precedence.
 
     Raises:
-        UserError: names the line of what is wrong, or bulletins with days missing between them.
+        UserError: an error, with its line number, or missing days between bulletins.
     """
     names = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
     rows: dict[int, tuple[float, ...]] = {}
@@ -65,10 +65,10 @@ def read_bulletins(paths: str | Path | Sequence[str | Path]) -> EarthOrientation
 
 
 def bulletin_rows(text: str, file: str) -> list[tuple[float, ...]]:
-    """Return the days of section 1: MJD, x, y, UT1 - UTC, dX, dY in mas and ms, and 1 where they are final.
+    """Return the days of section 1: MJD, x, y, UT1 - UTC, dX, dY in mas and ms, and 1 for final values.
 
     Raises:
-        UserError: another file, other units, or a line that is no day.
+        UserError: another file format, other units, or an invalid line.
     """
     lines = list(enumerate(text.split("\n"), 1))
     if not any(TITLE.match(line) for _, line in lines[:10]):
@@ -92,7 +92,7 @@ def bulletin_rows(text: str, file: str) -> list[tuple[float, ...]]:
 
 
 def _values(cells: list[str], place: Place) -> tuple[float, ...]:
-    """Return the numbers of a day; raises UserError."""
+    """Parse the numbers of a day; raises UserError."""
     if len(cells) < 9:
         place.refuse("year, month, day, MJD, x, y, UT1-UTC, dX and dY", f"{len(cells)} values")
     mjd = within(cells[3], place._replace(column="MJD"), 0.0, 1e5)

@@ -1,7 +1,7 @@
 """Laser ranging data of the ILRS: normal points of the Consolidated Laser Ranging Data Format (CRD).
 
 Source: R. L. Ricklefs, C. J. Moore, Consolidated Laser Ranging Data Format (CRD), ILRS, 1.01 and 2.01.
-A time of flight is there and back; half of it times the speed of light is the range.
+Times of flight are two-way; half of it times the speed of light is the range.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ FLAGS = (
     (17, "1", "the station's delay corrected", ""),
     (19, "2", "two-way ranges (range type 2)", ""),
 )
-"""Of a session (record H4): place of a field, what it must be, and what that means."""
+"""Requirements on a session (record H4): field index, required value, and its meaning."""
 UNUSED = {
     "00": "comments",
     "10": "full-rate ranges",
@@ -52,16 +52,16 @@ UNUSED = {
     **{f"c{k}": "descriptions of instruments" for k in range(1, 8)},
     "h5": "names of predictions",
 }
-"""Records of which nothing is needed; those from 90 to 99 are of stations."""
+"""Records that are not needed; those from 90 to 99 are station-specific."""
 SLACK = 120 * epochs.SECOND
-"""By how much a normal point may lie outside the times of its session."""
+"""Tolerance by which a normal point may lie outside the times of its session."""
 
 
 def read_crd(path: str | Path) -> list[TrackingData]:
-    """Return the normal points of a file, for each satellite and epoch event.
+    """Read the normal points of a file, for each satellite and epoch event.
 
     Raises:
-        UserError: names the line of what is wrong.
+        UserError: an error, with its line number.
     """
     path = Path(path)
     return crd_data(decoded(content_of(path), path), str(path))
@@ -71,12 +71,12 @@ def crd_data(text: str, file: str, note: Note = refuse) -> list[TrackingData]:
     """Return the normal points of all passes of a text; stations are named by their pads, such as 7941.
 
     Args:
-        text: of a file, or of several joined.
-        file: its name.
-        note: of a record that is damaged, which is then left out.
+        text: text of one or several concatenated files.
+        file: file name.
+        note: callback for damaged records, which are then skipped.
 
     Raises:
-        UserError: no normal point, or what `note` raises.
+        UserError: no normal point, or errors of `note`.
     """
     reader = _CrdReader(file, note)
     for row, line in enumerate(text.split("\n"), 1):
@@ -93,7 +93,7 @@ def crd_data(text: str, file: str, note: Note = refuse) -> list[TrackingData]:
 
 
 class _CrdReader:
-    """Records one after the other: what headers say holds until others say otherwise."""
+    """Sequential reader of records: header values remain valid until replaced."""
 
     def __init__(self, file: str, note: Note) -> None:
         self.file, self.note = file, note
@@ -110,7 +110,7 @@ class _CrdReader:
         }
 
     def remarks(self) -> tuple[str, ...]:
-        """Return what is not used."""
+        """Return remarks on unused content."""
         names = ", ".join(dict.fromkeys([*self.unused, "scatter and counts of normal points"]))
         cut_off = () if self.ended else ("no record H9 at the end: the file may be cut off",)
         return (f"not used: {names}", *cut_off)
@@ -167,7 +167,7 @@ class _CrdReader:
         self.target = self.names.setdefault(found[2], found[1])
 
     def begin(self, cells: list[str], place: Place) -> None:
-        """Begin a session: its kind, its times and what is corrected."""
+        """Begin a session: its kind, times and corrections."""
         self.skipped = True
         if not (self.station and self.target):
             place.refuse("records H2 and H3 before a session", "none")
@@ -186,7 +186,7 @@ class _CrdReader:
         self.session, self.skipped = RangingSession(start, stop, start), False
 
     def configuration(self, cells: list[str], place: Place) -> None:
-        """Read record C0: the wavelength of a configuration, from nanometres to micrometres."""
+        """Read record C0: the wavelength of a configuration, converted from nm to micrometres."""
         if len(cells) < 3:
             place.refuse("a wavelength and the name of a configuration", repr(" ".join(cells)))
         self.opened(place).wavelengths[cells[2]] = within(cells[1], place, 200.0, 12000.0) / 1000
@@ -221,17 +221,17 @@ class _CrdReader:
         session.points.append(NormalPoint(moment, flight * LIGHT / 2, cells[2], event, place.row))
 
     def opened(self, place: Place) -> RangingSession:
-        """Return the session that is open; raises UserError where none is."""
+        """Return the session that is open; raises UserError if none is open."""
         return self.session or place.refuse("record H4 before it", "none")
 
     def close(self, what: str) -> None:
-        """End a session without its last record, which is a fault."""
+        """End a session that lacks its last record, which is a fault."""
         if self.session is not None:
             self.finish()
             self.note(Fault(Place(self.file), "record H8 at the end of each session", what))
 
     def finish(self) -> None:
-        """Add the points of a session, with their weather and wavelength, to those that are found."""
+        """Add the points of a session, with their weather and wavelength, to the result."""
         session, self.session, self.skipped = self.session, None, False
         if session is None:
             return

@@ -1,4 +1,4 @@
-"""A pass of laser ranging: its normal points, the weather at the station, and when both were."""
+"""Laser ranging pass: normal points and weather records with their times."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class WeatherRecord(NamedTuple):
 
 
 class NormalPoint(NamedTuple):
-    """A normal point: its moment, range in km, configuration of the station and line."""
+    """Normal point: moment, range in km, station configuration and line number."""
 
     moment: int
     range: float
@@ -33,11 +33,11 @@ class NormalPoint(NamedTuple):
 
 @dataclass
 class RangingSession:
-    """What is known of a pass while its records are read.
+    """Content of a pass while its records are read.
 
     Attributes:
-        start, stop: between which its points lie; no stop where the record says none.
-        last: the last moment, from which seconds of the day go on.
+        start, stop: time span of its points; stop is None if unspecified.
+        last: last moment, to resolve the day of seconds of day.
     """
 
     start: int
@@ -49,12 +49,12 @@ class RangingSession:
 
 
 def moment_near(moment: int, seconds: str) -> int:
-    """Return the moment at so many seconds of a day, of that day which brings it nearest to another moment.
+    """Return the moment at given seconds of day, on the day that is nearest to another moment.
 
     Args:
-        moment: another one.
-        seconds: of the day, a number of which no picosecond is lost; some stations count on after midnight,
-            some begin again.
+        moment: reference moment.
+        seconds: seconds of day, exact to a picosecond; after midnight some stations continue counting, some
+            restart.
     """
     whole, _, fraction = seconds.partition(".")
     plain = whole.isdigit() and (fraction or "0").isdigit()
@@ -66,7 +66,7 @@ def moment_near(moment: int, seconds: str) -> int:
 
 
 def weather_at(records: list[WeatherRecord], moments: list[int]) -> list[tuple[float, float, float]]:
-    """Return the weather at some moments, between records linearly and outside of them as in the nearest."""
+    """Interpolate the weather linearly at given moments; outside the records the nearest is used."""
     if not records:
         return [UNKNOWN] * len(moments)
     known = [one.moment for one in records]

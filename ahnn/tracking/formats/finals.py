@@ -1,7 +1,7 @@
-"""The daily orientation of the Earth as the package astropy-iers-data brings it: finals2000A of the IERS.
+"""Daily Earth orientation from the package astropy-iers-data: finals2000A of the IERS.
 
-Columns by the IERS's readme.finals2000A: modified Julian date, x and y of the pole in arcseconds, UT1 - UTC
-in seconds and offsets dX, dY of the celestial pole in mas, all of Bulletin A.
+Columns are defined in the IERS's readme.finals2000A: modified Julian date, x and y of the pole in arcseconds,
+UT1 - UTC in seconds and offsets dX, dY of the celestial pole in mas, all of Bulletin A.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ COLUMNS = {
     "dX": (97, 106),
     "dY": (116, 125),
 }
-"""Where each number stands."""
+"""Column positions of each number."""
 PREDICTED = 57
-"""Where a P says that UT1 is predicted."""
+"""Column where P marks a predicted UT1."""
 
 
 def installed_orientation() -> EarthOrientation:
-    """Return the days of the package astropy-iers-data.
+    """Load the days of the package astropy-iers-data.
 
     Raises:
-        UserError: it is not installed, or its file is damaged.
+        UserError: the package is not installed, or its file is damaged.
     """
     data = library("astropy_iers_data", "astropy-iers-data", "orbit", "orientation of the Earth")
     path = Path(data.IERS_A_FILE)
@@ -40,10 +40,10 @@ def installed_orientation() -> EarthOrientation:
 
 
 def finals_orientation(text: str, file: str) -> EarthOrientation:
-    """Return the days of a file finals2000A that have UT1; offsets of the pole are 0 where none are known.
+    """Return the days with UT1 of a finals2000A file; unknown pole offsets are 0.
 
     Raises:
-        UserError: names the line of what is no number.
+        UserError: an invalid number, with its line number.
     """
     rows = []
     for row, line in enumerate(text.split("\n"), 1):

@@ -1,4 +1,4 @@
-"""Measurements as readers find them, one after the other, and what becomes of them: one satellite's data."""
+"""Collection of single measurements from readers into the tracking data of one satellite."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ahnn.data.files.table import Place, within
 from ahnn.tracking.tracking_data import KINDS, Event, Kind, TrackingData
 
 UNKNOWN = (math.nan, math.nan, math.nan)
-"""Weather where nobody said."""
+"""Unknown weather."""
 BOUNDS: dict[Kind, tuple[float, float]] = {
     "range": (1e-3, 1e10),
     "range_rate": (-1e3, 1e3),
@@ -21,23 +21,23 @@ BOUNDS: dict[Kind, tuple[float, float]] = {
     "right_ascension": (-math.pi, 2 * math.pi),
     "declination": (-math.pi / 2, math.pi / 2),
 }
-"""Between which a measurement is one."""
+"""Valid range of each kind of measurement."""
 ROUNDING = 1e-12
-"""Of factors from degrees."""
+"""Tolerance of conversion factors from degrees."""
 
 
 def measured(kind: Kind, text: str, factor: float, place: Place, correction: float = 0.0) -> float:
-    """Return a measurement in km, rad or km/s.
+    """Parse a measurement to km, rad or km/s.
 
     Args:
-        kind: of the measurement.
-        text: the number in a file.
-        factor: from its unit.
-        place: where it stands.
-        correction: added to the number.
+        kind: kind of the measurement.
+        text: number in the file.
+        factor: conversion factor of its unit.
+        place: place in the file.
+        correction: correction added to the number.
 
     Raises:
-        UserError: no number, or one that no measurement of this kind has.
+        UserError: an invalid number, or one outside the range of this kind.
     """
     value = factor * (within(text, place, -1e30, 1e30) + correction)
     low, high = BOUNDS[kind]
@@ -48,16 +48,16 @@ def measured(kind: Kind, text: str, factor: float, place: Place, correction: flo
 
 @dataclass(frozen=True)
 class TrackingReading:
-    """One measurement, or two angles of one instant.
+    """One measurement, or two simultaneous angles.
 
     Attributes:
-        moment: picoseconds from 2000-01-01 in UTC with all leap seconds (`epochs.instant`).
-        station: its name.
-        values: in km, rad and km/s.
-        row: number of the line.
+        moment: picoseconds since 2000-01-01 in UTC with all leap seconds (`epochs.instant`).
+        station: station name.
+        values: values in km, rad and km/s.
+        row: line number.
         weather: pressure in hPa, temperature in K, relative humidity from 0 to 1.
-        wavelength: in micrometres.
-        deviations: standard deviations that the file states, in the units of the values.
+        wavelength: wavelength in micrometres.
+        deviations: standard deviations from the file, in the units of the values.
     """
 
     moment: int
@@ -70,12 +70,12 @@ class TrackingReading:
 
 
 def between(known: list[int], values: list[float], moments: list[int]) -> list[float]:
-    """Return values at moments, linear between the known ones and outside as at the nearest.
+    """Interpolate values linearly at moments; outside the known range the nearest is used.
 
     Args:
         known: moments of the values, in any order, at least one.
-        values: at these.
-        moments: at which they are wanted.
+        values: values at these moments.
+        moments: moments of the result.
     """
     origin, order = known[0], np.argsort([float(one - known[0]) for one in known], kind="stable")
     times = np.array([(one - origin) / epochs.SECOND for one in known])[order]
@@ -86,13 +86,13 @@ def between(known: list[int], values: list[float], moments: list[int]) -> list[f
 def gathered(
     name: str, readings: list[TrackingReading], event: Event, remarks: tuple[str, ...] = ()
 ) -> TrackingData:
-    """Return readings of one satellite, at least one, in the order of their times.
+    """Build tracking data from one or more readings of a satellite, sorted by time.
 
     Args:
-        name: of the satellite.
-        readings: in any order; time zero is that of the first.
-        event: what their times tag.
-        remarks: what the file says that is not used.
+        name: name of the satellite.
+        readings: readings in any order; time zero is that of the first.
+        event: event tagged by their times.
+        remarks: remarks on unused content of the file.
     """
     ranked = sorted(readings, key=lambda one: one.moment)
     epoch = ranked[0].moment

@@ -1,4 +1,4 @@
-"""Instants of any clock as those of UTC with all its leap seconds, in whole picoseconds."""
+"""Conversion of epochs in any time scale to UTC with leap seconds, in integer picoseconds."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ MJD = date(1858, 11, 17).toordinal()
 
 
 def utc_moment(text: str, place: Place, clock: str = "UTC") -> int:
-    """Return an epoch as picoseconds from 2000-01-01 in UTC with all leap seconds (`epochs.instant`).
+    """Return an epoch as picoseconds since 2000-01-01 in UTC with all leap seconds (`epochs.instant`).
 
     Raises:
-        UserError: no epoch, or one before 1972 or after 2200, between which UTC and these clocks differ by
-            whole seconds and nobody tracks.
+        UserError: an invalid epoch, or one outside 1972 to 2200, where UTC does not differ from these time
+            scales by whole seconds or no tracking data exist.
     """
     try:
         moment = epochs.instant(text, utc=clock == "UTC")
@@ -33,7 +33,7 @@ def day_moment(days: int) -> int:
     """Return the first instant of a day, in UTC.
 
     Args:
-        days: proleptic ordinal of its date.
+        days: proleptic ordinal of the date.
     """
     return epochs.instant(date.fromordinal(days).isoformat(), utc=True)
 

@@ -1,7 +1,7 @@
-"""Positions of stations from files of the Solution Independent Exchange format, with eccentricities.
+"""Station positions and eccentricities from files in SINEX (Solution Independent Exchange) format.
 
-Read are the blocks SOLUTION/ESTIMATE (positions of markers and their velocities), SOLUTION/EPOCHS (of which
-times a solution is) and SITE/ECCENTRICITY (from the marker to the point to which measurements refer). Source:
+Reads the blocks SOLUTION/ESTIMATE (positions of markers and their velocities), SOLUTION/EPOCHS (time spans of
+solutions) and SITE/ECCENTRICITY (vectors from the marker to the reference point of measurements). Source:
 SINEX format description, versions 1.00 to 2.10, IERS and ILRS.
 """
 
@@ -30,11 +30,11 @@ COORDINATES = ("STAX", "STAY", "STAZ")
 RATES = ("VELX", "VELY", "VELZ")
 UNIT = {**dict.fromkeys(COORDINATES, "m"), **dict.fromkeys(RATES, "m/y")}
 NEAREST, FARTHEST = 6.33e6, 6.40e6
-"""Distances from the centre of the Earth, in m, between which all stations on it are."""
+"""Range of geocentric distances in m of stations on the Earth."""
 
 
 class SinexEstimate(NamedTuple):
-    """Values of one solution for a point: by type, and the moment to which they refer."""
+    """Values of one solution for a point: by type, and their reference epoch."""
 
     place: Place
     reference: int
@@ -43,7 +43,7 @@ class SinexEstimate(NamedTuple):
 
 @dataclass
 class _Blocks:
-    """What blocks of one file hold, by point and number of the solution."""
+    """Content of the blocks of one file, by point and solution number."""
 
     estimates: dict[tuple[str, str], SinexEstimate] = field(default_factory=dict)
     spans: dict[tuple[str, str], tuple[int | None, int | None]] = field(default_factory=dict)
@@ -52,10 +52,10 @@ class _Blocks:
 
 
 def read_sinex(*paths: str | Path) -> StationCatalogue:
-    """Return the stations of one or several files: positions from one and eccentricities from another, say.
+    """Read the stations of one or several files, for example positions and eccentricities separately.
 
     Raises:
-        UserError: names the line of what is wrong, or a file with neither, or a station in two files.
+        UserError: an error, with its line number, a file with neither, or a station in two files.
     """
     found = StationCatalogue()
     for path in map(Path, paths):
@@ -76,7 +76,7 @@ def sinex_stations(text: str, file: str) -> StationCatalogue:
     """Return the stations of a file.
 
     Raises:
-        UserError: names the line of what is wrong, or a file without positions and eccentricities.
+        UserError: an error, with its line number, or a file without positions and eccentricities.
     """
     lines = text.split("\n")
     if not TITLE.match(lines[0]):
@@ -106,7 +106,7 @@ def sinex_stations(text: str, file: str) -> StationCatalogue:
 
 
 def _estimate(blocks: _Blocks, line: str, place: Place) -> None:
-    """Read a line of SOLUTION/ESTIMATE; other parameters than those of stations are left out."""
+    """Read a line of SOLUTION/ESTIMATE; parameters other than those of stations are skipped."""
     cells = line.split()
     if len(cells) < 2 or cells[1] not in UNIT:
         if len(cells) < 9 or not cells[0].isdigit():
@@ -139,7 +139,7 @@ def _span(blocks: _Blocks, line: str, place: Place) -> None:
 
 
 def _eccentricity(blocks: _Blocks, line: str, place: Place) -> None:
-    """Read a line of SITE/ECCENTRICITY: numbers of nine columns each, which blanks need not separate."""
+    """Read a line of SITE/ECCENTRICITY: numbers of nine columns each, not necessarily separated by blanks."""
     found = OFFSET.search(line)
     cells = line[: found.start()].split() if found else []
     if found is None or len(cells) != 6:
@@ -160,7 +160,7 @@ READERS: dict[str, Callable[[_Blocks, str, Place], None]] = {
 
 
 def _solutions(blocks: _Blocks) -> dict[str, list[StationSolution]]:
-    """Return the solutions of each point in the order of their times; raises UserError for half a one."""
+    """Return the solutions of each point in order of time; raises UserError for incomplete ones."""
     found: dict[str, list[StationSolution]] = {}
     for (point, number), one in blocks.estimates.items():
         position = _vector(one, COORDINATES)
@@ -176,7 +176,7 @@ def _solutions(blocks: _Blocks) -> dict[str, list[StationSolution]]:
 
 
 def _vector(one: SinexEstimate, names: tuple[str, ...]) -> NDArray[np.float64]:
-    """Return three values; raises UserError where one is missing."""
+    """Return three values; raises UserError if one is missing."""
     for name in names:
         if name not in one.values:
             one.place._replace(column=name).refuse("all three coordinates of the solution", "none")
@@ -184,17 +184,17 @@ def _vector(one: SinexEstimate, names: tuple[str, ...]) -> NDArray[np.float64]:
 
 
 def point_of(code: str, point: str) -> str:
-    """Return the name of a point: the code of its site, such as 7090, and the point unless it is A."""
+    """Return the name of a point: the code of its site, such as 7090, and the point code unless it is A."""
     return code if point == "A" else f"{code} {point}"
 
 
 def sinex_moment(text: str, place: Place) -> int | None:
-    """Return the moment of an epoch such as 10:001:00000; None where day 0 says that a span is open.
+    """Return the moment of an epoch such as 10:001:00000; None for day 0, which marks an open span.
 
-    Years of two digits are from 1951 to 2050.
+    Two-digit years are from 1951 to 2050.
 
     Raises:
-        UserError: another notation.
+        UserError: invalid notation.
     """
     found = TIME.fullmatch(text)
     if found is None:

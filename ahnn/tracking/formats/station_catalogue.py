@@ -1,4 +1,4 @@
-"""Stations on the Earth: where the point is to which their measurements refer, at any time."""
+"""Station catalogue: measurement reference points as functions of time."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from ahnn.data.files import epochs
 from ahnn.errors import UserError
 
 YEAR = 365.25 * epochs.DAY
-"""Seconds of the year of velocities."""
+"""Seconds per year for velocities."""
 RADIUS, FLATTENING = 6378.137, 1 / 298.257222101
-"""Of the ellipsoid GRS80, in km, whose normals are verticals (Moritz, Geodetic Reference System 1980)."""
+"""GRS80 ellipsoid, in km, whose normals define the vertical (Moritz, Geodetic Reference System 1980)."""
 
 Vector = NDArray[np.float64]
 
 
 class StationSolution(NamedTuple):
-    """Motion of a marker.
+    """Position and velocity of a marker.
 
     Attributes:
         reference: moment of the position (`epochs.instant`).
         position: (3,) km in the terrestrial frame.
-        velocity: (3,) km a year.
-        start, end: of the data that it is from; None where nobody said.
+        velocity: (3,) km per year.
+        start, end: time span of its data; None if unspecified.
         moving: whether its velocity is known.
     """
 
@@ -44,12 +44,12 @@ class StationSolution(NamedTuple):
 
 
 class Eccentricity(NamedTuple):
-    """From the marker to the point of reference of measurements.
+    """Vector from the marker to the reference point of measurements.
 
     Attributes:
-        start, end: between which it holds; None where that is open.
-        offset: up, north and east where it is local, otherwise x, y and z, in km.
-        local: which of the two.
+        start, end: time span of validity; None for open ends.
+        offset: up, north and east if local, otherwise x, y and z, in km.
+        local: whether the offset is local.
     """
 
     start: int | None
@@ -63,9 +63,9 @@ class StationCatalogue:
     """Stations by their codes, such as 7090.
 
     Attributes:
-        solutions: of each code, in the order of their times.
-        eccentricities: of each code.
-        unused: blocks and parameters of files that are not read.
+        solutions: solutions of each code, in order of time.
+        eccentricities: eccentricities of each code.
+        unused: unused blocks and parameters of the files.
     """
 
     solutions: dict[str, list[StationSolution]] = field(default_factory=dict)
@@ -73,14 +73,14 @@ class StationCatalogue:
     unused: dict[str, None] = field(default_factory=dict)
 
     def position(self, code: str, moment: int) -> Vector:
-        """Return the point of reference of a station in the terrestrial frame, (3,) km.
+        """Return the reference point of a station in the terrestrial frame, (3,) km.
 
-        Where data of no solution are of that time, the last that began before it goes on; without any file
-        of eccentricities the marker itself is the point.
+        If no solution covers that time, the last one that began before it is extrapolated; without any
+        eccentricity file the marker itself is the reference point.
 
         Args:
-            code: of the station.
-            moment: picoseconds from 2000-01-01 in UTC with all leap seconds (`epochs.instant`).
+            code: station code.
+            moment: picoseconds since 2000-01-01 in UTC with all leap seconds (`epochs.instant`).
 
         Raises:
             UserError: no solution of the station, or no eccentricity at that time.
@@ -112,8 +112,8 @@ class StationCatalogue:
 def geodetic(position: Vector) -> tuple[float, float, float]:
     """Return latitude and longitude in rad and height in km above GRS80 of a position in km.
 
-    The latitude by fixed-point iteration of tan(latitude) = (z + e² N sin(latitude)) / p, which contracts by
-    e² near the Earth's surface.
+    The latitude is found by fixed-point iteration of tan(latitude) = (z + e² N sin(latitude)) / p, which
+    contracts by e² near the Earth's surface.
     """
     x, y, z = (float(one) for one in position)
     p, e2 = float(np.hypot(x, y)), FLATTENING * (2 - FLATTENING)

@@ -1,9 +1,9 @@
-"""A plain table of what stations measured: on each line an epoch, a kind, a station and numbers.
+"""Plain tables of tracking data: each line has an epoch, a kind, a station and numbers.
 
     2010-11-02T03:00:13.3851   RANGE       Uralla         38014.9488
     2010-11-02T03:00:50.5716   AZ_EL       Kumsan           211.1446   43.4099
 
-A table does not say its units. A sidecar does (`tracking_sidecar`), a YAML of the same name:
+A table does not contain its units. They are given in a sidecar (`tracking_sidecar`), a YAML of the same name:
 
     object: W3B
     clock: UTC
@@ -26,14 +26,14 @@ from ahnn.tracking.tracking_data import Kind, TrackingData
 
 
 def read_station_table(path: str | Path, aside: str | Path | None = None) -> list[TrackingData]:
-    """Return what a plain table of measurements holds.
+    """Read a plain table of measurements.
 
     Args:
-        path: of the table.
-        aside: its sidecar; None is the YAML of its name, if there is one.
+        path: path of the table.
+        aside: its sidecar; None for the YAML of the same name, if present.
 
     Raises:
-        UserError: names the line of what is wrong.
+        UserError: an error, with its line number.
     """
     path = Path(path)
     said = sidecar_of(path, None if aside is None else Path(aside))
@@ -44,13 +44,13 @@ def table_data(text: str, file: str, said: TrackingSidecar, note: Note = refuse)
     """Return the measurements of a table, of one satellite.
 
     Args:
-        text: of the table; lines that begin with # are left out.
-        file: its name.
-        said: what its sidecar says.
-        note: of a line that is no measurement, which is then left out.
+        text: text of the table; lines that begin with # are skipped.
+        file: file name.
+        said: content of its sidecar.
+        note: callback for invalid lines, which are then skipped.
 
     Raises:
-        UserError: no measurement, or what `note` raises.
+        UserError: no measurement, or errors of `note`.
     """
     found, kinds = [], set[str]()
     for row, line in enumerate(text.split("\n"), 1):
@@ -68,7 +68,7 @@ def table_data(text: str, file: str, said: TrackingSidecar, note: Note = refuse)
 
 
 def reading_of(cells: list[str], place: Place, said: TrackingSidecar) -> TrackingReading:
-    """Return the measurement of a line; raises UserError."""
+    """Parse the measurement of a line; raises UserError."""
     kind = cells[1] if len(cells) > 1 else ""
     if kind not in COLUMNS:
         place.refuse(f"an epoch and one of {', '.join(COLUMNS)}", repr(" ".join(cells[:2])))

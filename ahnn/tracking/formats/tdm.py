@@ -1,7 +1,7 @@
 """Tracking data messages (CCSDS 503.0-B): ranges, range rates and angles of two-way and one-way links.
 
-The standard leaves it to agencies whether ranges and rates of two-way links are those of the whole way or of
-half of it; here that is an option, half of it unless somebody says otherwise.
+The standard leaves open whether two-way ranges and rates refer to the whole path or half of it; here this is
+an option, by default half.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from ahnn.tracking.tracking_data import Event, Kind, TrackingData
 WEATHER_BOUNDS = {"PRESSURE": (300.0, 1200.0), "TEMPERATURE": (180.0, 340.0), "RHUMIDITY": (0.0, 105.0)}
 
 WeatherSeries = dict[str, dict[str, list[tuple[int, float]]]]
-"""Moments and values of each station and keyword."""
+"""Moments and values by station and keyword."""
 
 
 def read_tdm(path: str | Path, two_way: TwoWay | None = None) -> list[TrackingData]:
-    """Return the measurements of a message, for each satellite and event that times tag.
+    """Read the measurements of a message, by satellite and time-tagged event.
 
     Args:
-        path: of the file, in either notation.
-        two_way: of which way its two-way ranges and rates are; None is what a sidecar says, else half.
+        path: path of the file, in either notation.
+        two_way: path of two-way ranges and rates, half or whole; None for that of a sidecar, else half.
 
     Raises:
-        UserError: names the line of what is wrong.
+        UserError: an error, with its line number.
     """
     path = Path(path)
     two_way = two_way or sidecar_of(path).two_way
@@ -48,13 +48,13 @@ def tdm_data(text: str, file: str, two_way: TwoWay = "half", note: Note = refuse
     """Return the measurements of a message.
 
     Args:
-        text: of the message, in either notation.
-        file: its name.
-        two_way: of which way its two-way ranges and rates are.
-        note: of a record that is damaged, which is then left out.
+        text: text of the message, in either notation.
+        file: file name.
+        two_way: path of two-way ranges and rates, half or whole.
+        note: callback for damaged records, which are then skipped.
 
     Raises:
-        UserError: a message that cannot be read, no measurement in it, or what `note` raises.
+        UserError: an unreadable message, no measurement, or errors of `note`.
     """
     segments = xml_segments(text, file) if text.lstrip().startswith("<") else kvn_segments(text, file)
     weather: WeatherSeries = {}
@@ -82,7 +82,7 @@ def tdm_data(text: str, file: str, two_way: TwoWay = "half", note: Note = refuse
 
 
 def _readings(segment: TdmSegment, link: TdmLink, note: Note) -> list[TrackingReading]:
-    """Return the measurements of a segment, those of one moment together."""
+    """Return the measurements of a segment, combined by moment."""
     found: dict[int, TrackingReading] = {}
     for row, key, epoch, text in segment.records:
         if key not in USED_DATA:
@@ -103,7 +103,7 @@ def _readings(segment: TdmSegment, link: TdmLink, note: Note) -> list[TrackingRe
 
 
 def _value(key: str, text: str, link: TdmLink, place: Place) -> tuple[Kind, float]:
-    """Return the kind of a measurement, and its value in km, km/s or rad; raises UserError."""
+    """Parse the kind of a measurement, and its value in km, km/s or rad; raises UserError."""
     if key in ("ANGLE_1", "ANGLE_2"):
         kind, factor = link.angle(key, place), math.pi / 180
     elif key == "RANGE":
@@ -114,10 +114,10 @@ def _value(key: str, text: str, link: TdmLink, place: Place) -> tuple[Kind, floa
 
 
 def _of_integration(readings: list[TrackingReading], interval: float) -> str:
-    """Return what is said of integrated Doppler, with how far a mean is from the rate at its middle.
+    """Return a remark on integrated Doppler, with the deviation of a mean from the rate at its midpoint.
 
-    That is the square of the interval times the second derivative of the rate over 24, to the next order; the
-    derivative is the largest of the divided differences of three measurements.
+    The deviation is the square of the interval times the second derivative of the rate over 24, to the next
+    order; the derivative is the largest of the divided differences of three measurements.
     """
     what = f"means over {interval:g} s taken for the range rates at their middles"
     ranked = sorted((one.moment, one.values["range_rate"]) for one in readings if "range_rate" in one.values)
@@ -145,13 +145,13 @@ def _add_weather(segment: TdmSegment, weather: WeatherSeries, note: Note) -> Non
 
 
 def station_of(segment: TdmSegment) -> str:
-    """Return whose weather a segment holds: the last participant of its path, or its only one."""
+    """Return the station of a segment's weather: the last participant of its path, or the only one."""
     last = segment.meta.get("PATH", "1").split(",")[-1].strip()
     return segment.meta.get(f"PARTICIPANT_{last}", segment.meta.get("PARTICIPANT_1", ""))
 
 
 def _with_weather(readings: list[TrackingReading], weather: WeatherSeries) -> list[TrackingReading]:
-    """Return measurements with the weather of their stations, linearly between what is known."""
+    """Return measurements with the weather of their stations, linearly interpolated."""
     found = {}
     for station in {one.station for one in readings}:
         mine = [one.moment for one in readings if one.station == station]
@@ -166,7 +166,7 @@ def _with_weather(readings: list[TrackingReading], weather: WeatherSeries) -> li
 
 
 def _at(series: list[tuple[int, float]], moments: list[int]) -> list[float]:
-    """Return values at moments; NaN where there are none."""
+    """Interpolate values at moments; NaN without values."""
     if not series:
         return [math.nan] * len(moments)
     known, values = zip(*series, strict=True)

@@ -1,4 +1,4 @@
-"""What the metadata of a segment of a tracking data message say: who measured whom, and in which units."""
+"""Interpretation of TDM segment metadata: participants, path, units and corrections."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CORRECTED = {
     "CORRECTION_ANGLE_1": ("ANGLE_1",),
     "CORRECTION_ANGLE_2": ("ANGLE_2",),
 }
-"""Keywords of corrections, and to which data they are added."""
+"""Correction keywords, and the data to which they are added."""
 OTHER_CORRECTIONS = (
     *("CORRECTION_MAG", "CORRECTION_RCS", "CORRECTION_RECEIVE", "CORRECTION_TRANSMIT"),
     *("CORRECTION_ABERRATION_YEARLY", "CORRECTION_ABERRATION_DIURNAL"),
@@ -40,26 +40,26 @@ KNOWN = (
     *CORRECTED,
     *OTHER_CORRECTIONS,
 )
-"""Keywords of metadata."""
+"""Metadata keywords."""
 
 
 @dataclass
 class TdmLink:
-    """How the data of a segment are to be read.
+    """Interpretation of the data of a segment.
 
     Attributes:
         station, satellite: the last two participants of the path.
-        clock: of the epochs.
-        event: what they tag.
-        ways: of the link: 1 from the satellite to the station, 2 there and back.
-        two_way: of which way two-way ranges are, half or whole.
-        units: of ranges.
-        angles: which two, or none.
+        clock: time scale of the epochs.
+        event: event tagged by the epochs.
+        ways: ways of the link: 1 for satellite to station, 2 for two-way.
+        two_way: path of two-way ranges, half or whole.
+        units: units of ranges.
+        angles: types of the two angles, or none.
         middle: seconds from the time tag of an integrated Doppler to the middle of its interval.
-        interval: of the integration, in seconds; 0 where nobody said.
-        corrections: to be added to data of a keyword, in its unit.
-        blocked: data that cannot be read, and why.
-        remarks: what is not used, or taken in a way that a user should know.
+        interval: integration interval in seconds; 0 if unspecified.
+        corrections: corrections to be added to data by keyword, in its unit.
+        blocked: unreadable data, with reasons.
+        remarks: remarks on unused content and on noteworthy interpretations.
     """
 
     station: str
@@ -77,36 +77,36 @@ class TdmLink:
     remarks: list[str] = field(default_factory=list)
 
     def range_factor(self, place: Place) -> float:
-        """Return the factor from a range to km of half the way; raises UserError for one that is none."""
+        """Return the factor from a range to km of half the path; raises UserError for unreadable ranges."""
         self.require("RANGE", place)
         return self.half(place) * (LIGHT if self.units == "s" else 1.0)
 
     def rate_factor(self, key: str, place: Place) -> float:
-        """Return the factor from a rate to km/s of half the way; raises UserError for one that is none."""
+        """Return the factor from a rate to km/s of half the path; raises UserError for unreadable rates."""
         if key == "DOPPLER_INTEGRATED":
             self.require(key, place)
         return self.half(place)
 
     def half(self, place: Place) -> float:
-        """Return the factor from what is measured to half the way; raises UserError for a one-way link."""
+        """Return the factor from a measurement to half the path; raises UserError for a one-way link."""
         if self.ways != 2:
             place.refuse("a two-way link, PATH = 1,2,1", "a one-way link, whose clocks are two")
         return 0.5 if self.two_way == "whole" else 1.0
 
     def angle(self, key: str, place: Place) -> Kind:
-        """Return which angle a keyword means; raises UserError where nobody said."""
+        """Return the angle of a keyword; raises UserError if unspecified."""
         self.require("ANGLE_1", place)
         assert self.angles is not None
         return self.angles[0 if key == "ANGLE_1" else 1]
 
     def require(self, key: str, place: Place) -> None:
-        """Refuse data that the metadata leave unclear; raises UserError."""
+        """Raise UserError for data with unclear metadata."""
         if key in self.blocked:
             place.refuse(*self.blocked[key])
 
 
 def link_of(segment: TdmSegment, two_way: str) -> TdmLink:
-    """Return how the data of a segment are to be read; raises UserError for what is not read at all."""
+    """Determine the interpretation of a segment; raises UserError for unsupported segments."""
     meta, place = segment.meta, segment.place
     if (mode := meta.get("MODE", "SEQUENTIAL")) != "SEQUENTIAL":
         _wrong(place, "MODE", "SEQUENTIAL", mode, "Differenced data are not read")
@@ -137,7 +137,7 @@ def _way(two_way: str) -> str:
 
 
 def tdm_clock(segment: TdmSegment) -> str:
-    """Return the clock of a segment; raises UserError for one that is not read."""
+    """Return the time scale of a segment; raises UserError if unsupported."""
     clock = segment.meta.get("TIME_SYSTEM", "").upper()
     if clock not in CLOCKS:
         _wrong(segment.place, "TIME_SYSTEM", ", ".join(CLOCKS), clock or "none")
@@ -145,7 +145,7 @@ def tdm_clock(segment: TdmSegment) -> str:
 
 
 def _participants(meta: dict[str, str], place: Place) -> tuple[str, str, int]:
-    """Return station, satellite and ways of a link; raises UserError for a path of others."""
+    """Return station, satellite and ways of a link; raises UserError for other paths."""
     path = [part.strip() for part in meta.get("PATH", "").split(",")]
     there_and_back = len(path) == 3 and path[0] == path[2] != path[1]
     if not there_and_back and not (len(path) == 2 and path[0] != path[1]):
@@ -163,7 +163,7 @@ def _participants(meta: dict[str, str], place: Place) -> tuple[str, str, int]:
 
 
 def _judge_ranges(link: TdmLink, meta: dict[str, str], place: Place) -> None:
-    """Say which ranges are not read: ambiguous ones, those in units of a station, and delayed ones."""
+    """Mark unreadable ranges: ambiguous ones, those in station-specific units, and delayed ones."""
     if link.units not in ("km", "s"):
         link.blocked["RANGE"] = "RANGE_UNITS = km or s", repr(link.units)
     if _number(meta, "RANGE_MODULUS", place) != 0:
@@ -178,7 +178,7 @@ def _judge_ranges(link: TdmLink, meta: dict[str, str], place: Place) -> None:
 
 
 def _judge_angles(link: TdmLink, meta: dict[str, str]) -> None:
-    """Say which angles are not read."""
+    """Mark unreadable angles."""
     if link.angles is None:
         link.blocked["ANGLE_1"] = f"ANGLE_TYPE = {' or '.join(ANGLES)}", repr(meta.get("ANGLE_TYPE", ""))
     elif link.angles == ANGLES["RADEC"]:
@@ -202,7 +202,7 @@ def _judge_integration(link: TdmLink, meta: dict[str, str], place: Place) -> Non
 
 
 def _judge_corrections(link: TdmLink, meta: dict[str, str], place: Place) -> None:
-    """Find what is to be added to the data, if the message has not done it; raises UserError if unclear."""
+    """Find corrections not yet applied to the data; raises UserError if unclear."""
     given = {key: _number(meta, key, place) for key in (*CORRECTED, *OTHER_CORRECTIONS) if key in meta}
     if not given:
         return
@@ -217,10 +217,10 @@ def _judge_corrections(link: TdmLink, meta: dict[str, str], place: Place) -> Non
 
 
 def _number(meta: dict[str, str], key: str, place: Place) -> float:
-    """Return the number of a keyword, 0 where it is not there; raises UserError."""
+    """Return the number of a keyword, 0 if absent; raises UserError."""
     return within(meta[key], place._replace(column=key), -1e30, 1e30) if key in meta else 0.0
 
 
 def _wrong(place: Place, key: str, expected: str, received: str, remedy: str = "") -> NoReturn:
-    """Refuse the value of a keyword."""
+    """Raise UserError for the value of a keyword."""
     place._replace(column=key).refuse(expected, received, remedy)

@@ -19,16 +19,16 @@ UNUSED_DATA = (
     *("RECEIVE_FREQ", "STEC", "TROPO_DRY", "TROPO_WET", "VLBI_DELAY"),
     *(f"{name}_{k}" for name in INDEXED for k in range(1, 6)),
 )
-"""Keywords of data of which nothing is read."""
+"""Data keywords that are not used."""
 
 
 @dataclass
 class TdmSegment:
-    """What a segment says.
+    """Content of a segment.
 
     Attributes:
-        place: where it begins.
-        meta: keywords and values of its metadata.
+        place: begin of the segment.
+        meta: metadata by keyword.
         records: line, keyword, epoch and value of its data.
     """
 
@@ -37,23 +37,23 @@ class TdmSegment:
     records: list[tuple[int, str, str, str]] = field(default_factory=list)
 
     def say(self, key: str, value: str, place: Place) -> None:
-        """Add to the metadata; raises UserError for a keyword that stands there already."""
+        """Add to the metadata; raises UserError for a duplicate keyword."""
         if key in self.meta:
             place._replace(column=key).refuse("each keyword once in the metadata", "it twice")
         self.meta[key] = value
 
     def record(self, key: str, epoch: str, value: str, place: Place) -> None:
-        """Add to the data; raises UserError for a keyword that is none of a TDM."""
+        """Add to the data; raises UserError for unknown keywords."""
         known = (*USED_DATA, *WEATHER, *UNUSED_DATA)
         if key not in known:
             guess = nearest(key, known)
-            guess = guess if "mean" in guess else ""  # and not the list of all
+            guess = guess if "mean" in guess else ""  # instead of the complete list
             place.refuse("a keyword of the data of a TDM", f"{key!r}{guess}")
         self.records.append((place.row, key, epoch, value))
 
 
 def require_version(text: str, place: Place) -> None:
-    """Refuse a version that is not known; raises UserError."""
+    """Raise UserError for an unknown version."""
     if text not in VERSIONS:
         place.refuse(f"version {' or '.join(VERSIONS)} of a TDM", repr(text))
 
@@ -62,7 +62,7 @@ def kvn_segments(text: str, file: str) -> list[TdmSegment]:
     """Return the segments of a message.
 
     Raises:
-        UserError: names the line of what does not belong there.
+        UserError: unexpected content, with its line number.
     """
     lines = [(row, line.strip()) for row, line in enumerate(text.split("\n"), 1)]
     used = [(row, line) for row, line in lines if line and line.split()[0] != "COMMENT"]
@@ -102,4 +102,4 @@ CHANGES = {
     ("DATA_START", "ready"): "data",
     ("DATA_STOP", "data"): "between",
 }
-"""What a line makes of a part of the message."""
+"""Actions of a line on the state of the parser."""

@@ -1,4 +1,4 @@
-"""Tracking data as a message (CCSDS 503.0-B), in keyword = value notation or in XML."""
+"""Writing of tracking data messages (CCSDS 503.0-B), in keyword = value notation or in XML."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ KEYWORDS: tuple[tuple[str, dict[Kind, str]], ...] = (
     ("AZEL", {"azimuth": "ANGLE_1", "elevation": "ANGLE_2"}),
     ("RADEC", {"right_ascension": "ANGLE_1", "declination": "ANGLE_2"}),
 )
-"""Types of angles, and their keywords: a segment has one type."""
+"""Angle types with keywords; a segment has one type."""
 OTHERS: dict[Kind, str] = {"range": "RANGE", "range_rate": "DOPPLER_INSTANTANEOUS"}
 WEATHER = (("PRESSURE", 1.0), ("TEMPERATURE", 1.0), ("RHUMIDITY", 100.0))
-"""Keywords of the columns of the weather, and factors into their units."""
+"""Weather keywords by column, and unit conversion factors."""
 
 Record = tuple[str, str, str]
 """Keyword, epoch and value."""
@@ -34,19 +34,19 @@ def write_tdm(
     originator: str = "ahnn",
     frame: str = "EME2000",
 ) -> None:
-    """Write a message; the file appears whole or not at all.
+    """Write a message atomically.
 
-    Ranges and rates are written as those of half the way there and back. Wavelengths and standard deviations
-    have no place in a message and are not written.
+    Ranges and rates refer to half of the two-way path. The format has no fields for wavelengths and standard
+    deviations, which are not written.
 
     Args:
-        path: of the file, in XML if it ends in .xml, otherwise in keyword = value notation.
-        data: of one satellite or of several.
-        originator: who says so.
-        frame: of right ascensions and declinations.
+        path: path of the file, in XML if it ends in .xml, otherwise in keyword = value notation.
+        data: tracking data of one or several satellites.
+        originator: originator of the message.
+        frame: reference frame of right ascension and declination.
 
     Raises:
-        UserError: times of reflection, which a message cannot tag.
+        UserError: times of reflection, which the format does not support.
     """
     segments = [segment for one in data for segment in segments_of(one, frame)]
     written = _xml if Path(path).suffix.lower() == ".xml" else _kvn
@@ -71,7 +71,7 @@ def segments_of(data: TrackingData, frame: str) -> Iterator[tuple[dict[str, str]
 
 
 def _metadata(data: TrackingData, station: str, angles: str, frame: str) -> dict[str, str]:
-    """Return what a segment says of its data."""
+    """Return the metadata of a segment."""
     return {
         "TIME_SYSTEM": "UTC",
         "PARTICIPANT_1": station,
@@ -87,7 +87,7 @@ def _metadata(data: TrackingData, station: str, angles: str, frame: str) -> dict
 
 
 def _records(data: TrackingData, rows: np.ndarray, names: dict[Kind, str]) -> Iterator[Record]:
-    """Yield the measurements of some kinds in the order of their times, angles in degrees."""
+    """Yield the measurements of some kinds in order of time, angles in degrees."""
     for row in rows:
         for kind, keyword in names.items():
             value = float(data.values[row, KINDS.index(kind)])
@@ -115,7 +115,7 @@ def _epoch(data: TrackingData, row: int) -> str:
 
 
 def _kvn(segments: list[tuple[dict[str, str], list[Record]]], originator: str) -> str:
-    """Return a message of version 2.0 in keyword = value notation."""
+    """Format a message of version 2.0 in keyword = value notation."""
     lines = [f"{VERSION} = 2.0", f"CREATION_DATE = {epochs.now()}", f"ORIGINATOR = {originator}"]
     for meta, records in segments:
         said = [f"{key} = {value}" for key, value in meta.items()]
@@ -125,7 +125,7 @@ def _kvn(segments: list[tuple[dict[str, str], list[Record]]], originator: str) -
 
 
 def _xml(segments: list[tuple[dict[str, str], list[Record]]], originator: str) -> str:
-    """Return a message of version 2.0 in XML."""
+    """Format a message of version 2.0 in XML."""
     message = Element("tdm", {"id": VERSION, "version": "2.0"})
     head = SubElement(message, "header")
     SubElement(head, "CREATION_DATE").text = epochs.now()

@@ -18,14 +18,14 @@ UNITS = {
     "TEMPERATURE": ("K",),
     "RHUMIDITY": ("%",),
 }
-"""Of data that are read, if an attribute says them."""
+"""Units of data, if given by an attribute."""
 
 
 def xml_segments(text: str, file: str) -> list[TdmSegment]:
     """Return the segments of a message.
 
     Raises:
-        UserError: no XML, other units, or an observation that is not an epoch and a value.
+        UserError: not XML, other units, or an observation that is not an epoch and a value.
     """
     reader = _TdmReader(file)
     try:
@@ -52,11 +52,11 @@ class _TdmReader:
 
     @property
     def place(self) -> Place:
-        """Where the parser is."""
+        """Current place of the parser."""
         return Place(self.file, self.parser.CurrentLineNumber)
 
     def start(self, name: str, attributes: dict[str, str]) -> None:
-        """Begin an element; raises UserError for one that does not belong there."""
+        """Begin an element; raises UserError for an unexpected element."""
         tag, place = name.rpartition(":")[2], self.place
         inside = self.path[-1] if self.path else ""
         if tag not in STRUCTURE and inside not in ("metadata", "observation"):
@@ -82,7 +82,7 @@ class _TdmReader:
         self.text += text
 
     def entity(self, *_: object) -> None:
-        """Refuse what could make a small file a huge one."""
+        """Reject entities, which could expand a small file to a huge one."""
         self.place.refuse("no entities of its own", "one")
 
     def end(self, _: str) -> None:
@@ -101,7 +101,7 @@ class _TdmReader:
             self.observation[tag] = self.text.strip()
 
     def observed(self, place: Place) -> None:
-        """Add an observation to the segment; raises UserError for one that is not an epoch and a value."""
+        """Add an observation to the segment; raises UserError unless it has an epoch and a value."""
         found = dict(self.observation)
         epoch = found.pop("EPOCH", "")
         if not epoch or len(found) != 1:

@@ -1,4 +1,4 @@
-"""Tracking data from a file of any format that is read, told by its content."""
+"""Reading of tracking data in any supported format, detected by content."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ READABLE: tuple[Kind, ...] = ("tdm", "crd", "station_table")
 def read_tracking(
     path: str | Path, aside: str | Path | None = None, note: Note = refuse
 ) -> list[TrackingData]:
-    """Return the measurements of a file, for each satellite and event that times tag.
+    """Read the measurements of a file, by satellite and time-tagged event.
 
     Args:
-        path: of a TDM in either notation, of normal points (CRD), or of a plain table.
-        aside: its sidecar; None is the YAML of its name, if there is one.
-        note: of what is damaged, which is then left out.
+        path: path of a TDM in either notation, of normal points (CRD), or of a plain table.
+        aside: its sidecar; None for the YAML of the same name, if present.
+        note: callback for damaged content, which is then skipped.
 
     Raises:
-        UserError: another format, by its name, or what `note` raises.
+        UserError: unsupported format, named in the message, or errors of `note`.
     """
     path = Path(path)
     raw, file = content_of(path), str(path)

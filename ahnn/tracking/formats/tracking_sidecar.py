@@ -1,4 +1,4 @@
-"""The YAML beside a file of tracking data that says what the file does not: `W3B.yaml` beside `W3B.aer`."""
+"""YAML sidecar with metadata missing in a tracking file: `W3B.yaml` for `W3B.aer`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ahnn.tracking.formats.instants import CLOCKS
 from ahnn.tracking.tracking_data import Event, Kind
 
 TwoWay = Literal["half", "whole"]
-"""Of which way a two-way range is: half of the way there and back, or the whole."""
+"""Path of a two-way range: half of it, or the whole."""
 COLUMNS: dict[str, tuple[Kind, ...]] = {
     "RANGE": ("range",),
     "RANGE_RATE": ("range_rate",),
@@ -30,22 +30,22 @@ UNITS = {
     "AZ_EL": {"deg": math.pi / 180, "rad": 1.0},
     "RA_DEC": {"deg": math.pi / 180, "rad": 1.0},
 }
-"""Of each kind, and the factors to km, km/s and rad; the first is taken where nobody says."""
+"""Units of each kind, with factors to km, km/s and rad; the first is the default."""
 EVENTS = ("receive", "transmit", "bounce")
 KEYS = ("object", "clock", "event", "units", "deviations", "two_way")
 
 
 class TrackingSidecar(NamedTuple):
-    """What a sidecar says of a file of tracking data.
+    """Content of the sidecar of a tracking file.
 
     Attributes:
         object: name of the satellite.
-        clock: of the epochs.
-        event: what they tag.
-        units: of each kind.
+        clock: time scale of the epochs.
+        event: event tagged by the epochs.
+        units: unit of each kind.
         deviations: standard deviations of each kind, in its unit.
-        two_way: whether ranges and rates of two-way links are of half the way or of the whole.
-        given: whether there is a sidecar.
+        two_way: path of two-way ranges and rates, half or whole.
+        given: whether a sidecar exists.
     """
 
     object: str = ""
@@ -58,10 +58,10 @@ class TrackingSidecar(NamedTuple):
 
 
 def sidecar_of(path: Path, aside: Path | None = None) -> TrackingSidecar:
-    """Return what the sidecar of a file says; that is the YAML of its name unless another is named.
+    """Read the sidecar of a file, by default the YAML of the same name.
 
     Raises:
-        UserError: a sidecar that is wrong, or a named one that is not there.
+        UserError: an invalid sidecar, or a missing one that was named.
     """
     beside = sidecar.beside(path) if aside is None else aside
     if aside is None and (beside == path or not beside.is_file()):
@@ -70,10 +70,10 @@ def sidecar_of(path: Path, aside: Path | None = None) -> TrackingSidecar:
 
 
 def parse_sidecar(text: str, file: str) -> TrackingSidecar:
-    """Return what a sidecar says of a file of tracking data.
+    """Parse the sidecar of a tracking file.
 
     Raises:
-        UserError: no YAML, another key, or a value that is none of its key.
+        UserError: not YAML, an unknown key, or an invalid value.
     """
     place = Place(file)
     try:
@@ -101,12 +101,12 @@ def parse_sidecar(text: str, file: str) -> TrackingSidecar:
 
 
 def chosen(value: Any, among: tuple[str, ...], place: Place) -> Any:
-    """Return one of several words; raises UserError for another."""
+    """Return a word if it is an allowed one; raises UserError otherwise."""
     return value if value in among else place.refuse(f"one of {', '.join(among)}", repr(value))
 
 
 def mapping(value: Any, place: Place) -> dict[str, Any]:
-    """Return values of kinds; raises UserError for what is none."""
+    """Return values by kind; raises UserError for invalid ones."""
     if not isinstance(value, dict) or any(key not in COLUMNS for key in value):
         place.refuse(f"values of {', '.join(COLUMNS)}", repr(value))
     return value

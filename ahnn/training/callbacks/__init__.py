@@ -1,4 +1,4 @@
-"""Lightning callbacks of the library: progress bar, telemetry, resume points, validation rollouts."""
+"""Lightning callbacks: progress bar, telemetry, checkpoints for resumption, validation rollouts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The two checkpoints of a run: the best weights, and the point to resume from after an interruption."""
+"""Checkpoints of a run: the best weights, and the last state for resumption after an interruption."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from ahnn.errors import Stopped, UserError
 from ahnn.training.finite import require_finite_loss, require_finite_weights
 
 MONITORED = ("val/loss", "val/one_step")
-"""What every model logs in a validation; a callback adds the names in its `monitored`."""
+"""Metrics logged in every validation; a callback adds the names in its `monitored`."""
 
 
 def require_monitored(who: str, name: str, trainer: Trainer) -> None:
-    """Check before a training that somebody will log a value; raises UserError."""
+    """Check before training that a metric will be logged; raises UserError."""
     known = [*MONITORED, *(name for c in trainer.callbacks for name in getattr(c, "monitored", ()))]  # pyright: ignore[reportAttributeAccessIssue]
     if name not in known:
         message = f"{who}: expected one of {', '.join(known)}; received {name!r}"
@@ -29,16 +29,16 @@ def require_monitored(who: str, name: str, trainer: Trainer) -> None:
 
 @checked
 class BestPoint(Checkpoint):
-    """Writes best.ckpt after each validation whose value is the smallest so far.
+    """Writes best.ckpt after each validation with the smallest value so far.
 
     A validation before the first step, as a training has that begins with known physics, is one of them.
 
     Args:
-        folder: where best.ckpt is written. It is no part of the state, so that a run may be moved.
-        monitor: logged value.
+        folder: folder of best.ckpt. It is not part of the state, so that a run may be moved.
+        monitor: name of the logged metric.
 
     Raises:
-        UserError: nothing logs the monitored value; raised before the first step.
+        UserError: the metric is not logged; raised before the first step.
     """
 
     def __init__(self, folder: str, monitor: str) -> None:
@@ -48,11 +48,11 @@ class BestPoint(Checkpoint):
         self.judged = False
 
     def check(self, trainer: Trainer) -> None:
-        """Check that the value will be there; raises UserError."""
+        """Check that the metric will be available; raises UserError."""
         require_monitored("callbacks.best.monitor", self.monitor, trainer)
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Write if it is better."""
+        """Write the checkpoint if the value improved."""
         del pl_module
         if trainer.state.fn != "fit":
             return
@@ -62,7 +62,7 @@ class BestPoint(Checkpoint):
             trainer.save_checkpoint(self.path)
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Stop where no validation had a finite value: then no weights are the best."""
+        """Raise if no validation had a finite value, so that there are no best weights."""
         del trainer, pl_module
         if self.judged and not math.isfinite(self.best):
             require_finite_loss(self.latest, f"in every validation ({self.monitor})")
@@ -72,21 +72,21 @@ class BestPoint(Checkpoint):
         return {"best": self.best}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Take the smallest value from a checkpoint."""
+        """Restore the smallest value from a checkpoint."""
         self.best = state_dict["best"]
 
 
 @checked
 class ResumePoint(Checkpoint):
-    """Writes last.ckpt every few steps, after each validation, and when a scheduler ends the process.
+    """Writes last.ckpt every few steps, after each validation, and when a scheduler terminates the process.
 
-    Never between the last step of an epoch and its validation: Lightning would skip that validation when it
-    goes on from there, and the best checkpoint would differ from that of an uninterrupted run. SIGTERM and
-    SIGHUP therefore wait for the next step that may be resumed from; a second one does not.
+    Never between the last step of an epoch and its validation: Lightning would skip that validation on
+    resumption, and the best checkpoint would differ from that of an uninterrupted run. SIGTERM and SIGHUP are
+    therefore deferred to the next resumable step; a second signal is not.
 
     Args:
-        folder: where last.ckpt is written.
-        every: optimiser steps between two writes within an epoch.
+        folder: folder of last.ckpt.
+        every: number of optimiser steps between writes within an epoch.
     """
 
     def __init__(self, folder: str, every: Count) -> None:
@@ -96,7 +96,7 @@ class ResumePoint(Checkpoint):
         self._before: dict[int, Any] = {}
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Wait with signals, where one process is all there is."""
+        """Install deferred signal handling, for single-process training."""
         del pl_module
         if trainer.world_size > 1 or threading.current_thread() is not threading.main_thread():
             return
@@ -105,13 +105,13 @@ class ResumePoint(Checkpoint):
                 self._before[number] = signal.signal(number, self._request)
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Write where a training ended before its first validation, so that there are weights to judge."""
+        """Write the checkpoint if training ended before its first validation, for later evaluation."""
         del pl_module
         if not self.path.exists():
             trainer.save_checkpoint(self.path)
 
     def teardown(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
-        """Give signals back."""
+        """Restore the signal handlers."""
         del trainer, pl_module, stage
         while self._before:
             signal.signal(*self._before.popitem())
@@ -119,7 +119,7 @@ class ResumePoint(Checkpoint):
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Write when due, but not on the last batch of an epoch."""
+        """Write the checkpoint when due, except on the last batch of an epoch."""
         del outputs, batch, batch_idx
         due = trainer.global_step % self.every == 0 or self._signal is not None
         if due and not trainer.is_last_batch:
@@ -127,7 +127,7 @@ class ResumePoint(Checkpoint):
             self._write(trainer)
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Write at the end of an epoch."""
+        """Write the checkpoint at the end of an epoch."""
         del pl_module
         if trainer.state.fn == "fit" and not trainer.sanity_checking:
             self._write(trainer)

@@ -46,7 +46,7 @@ class EpochMean(Callback):
             self.steps, self.total = 0, torch.zeros(())
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what this epoch has added up."""
+        """Return the sums of this epoch."""
         return {"steps": self.steps, "total": self.total}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:

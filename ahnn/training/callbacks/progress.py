@@ -1,4 +1,4 @@
-"""Where a training stands: one bar on a terminal, a line for each epoch in a log."""
+"""Training progress: one bar on a terminal, one line per epoch in a log."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ log = logging.getLogger(__name__)
 
 
 class TrainingProgress(ProgressBar):
-    """A bar for the whole fit, which reads the loss twice a second and costs nothing in between.
+    """Progress bar for the whole fit, updated twice a second and without cost in between.
 
-    Where standard error is no terminal, each epoch is a line of the log.
+    If standard error is not a terminal, each epoch is logged as a line.
     """
 
     def __init__(self) -> None:
@@ -34,11 +34,11 @@ class TrainingProgress(ProgressBar):
         self._shown = True
 
     def disable(self) -> None:
-        """Show nothing: Lightning calls this in all processes but the first."""
+        """Disable output: Lightning calls this in all processes but the first."""
         self._shown = False
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Open the bar at the step where training begins or goes on."""
+        """Open the bar at the step where training starts or resumes."""
         del pl_module
         if not self._shown:
             return
@@ -55,7 +55,7 @@ class TrainingProgress(ProgressBar):
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Move the bar when it is due."""
+        """Update the bar when due."""
         del pl_module, batch, batch_idx
         if self._bar is None or time.monotonic() < self._due:
             return
@@ -67,7 +67,7 @@ class TrainingProgress(ProgressBar):
         self._bar.update(self._task, completed=trainer.global_step, note=note)
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Write the line of an epoch where there is no bar."""
+        """Log the line of an epoch if there is no bar."""
         del pl_module
         if self._bar is None or not self._bar.disable or trainer.sanity_checking:
             return

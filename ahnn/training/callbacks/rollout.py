@@ -1,4 +1,4 @@
-"""The error that matters, watched during training: rollouts of validation trajectories."""
+"""Rollout error on validation trajectories, monitored during training."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from ahnn.rollouts import clock_of, rollout
 from ahnn.statistics import Statistics, sampling_interval
 
 LOST = 100.0
-"""A position error this many times the size of the system is as bad as any."""
+"""Upper limit of position errors, as a multiple of the system size."""
 
 
 TRIED = 20
-"""Steps that are timed to say how long a rollout takes."""
+"""Number of steps timed to estimate the duration of a rollout."""
 
 
 @checked
 class ValidationRollout(Callback):
     """Logs `val/rollout`, the typical position error of whole validation rollouts, in the system's unit.
 
-    It is what a user of the model sees, and may choose the best checkpoint: a one-step loss that falls does
-    not always mean a rollout that improves. It is `typical_error`, not an RMSE: the rollouts of a model that
-    is still poor all end a system's size away from the truth, and an RMSE would choose weights by chance.
+    This is the error relevant to users, and can select the best checkpoint: a decreasing one-step loss does
+    not always improve rollouts. It is `typical_error` instead of an RMSE: rollouts of a poor model all end at
+    a distance of the system size from the truth, and an RMSE would select weights by chance.
 
-    Measurements have no true start to roll out from: a training on them logs nothing, and chooses its weights
+    Measurements have no true initial state for a rollout: training on them logs nothing, and selects weights
     by `val/loss`.
 
     Args:
-        count: trajectories to roll out; 0 rolls out none and logs nothing.
-        every: epochs between two rollouts.
+        count: number of trajectories; 0 logs nothing.
+        every: number of epochs between rollouts.
     """
 
     def __init__(self, count: Annotated[int, Within(0)], every: Count) -> None:
@@ -44,7 +44,7 @@ class ValidationRollout(Callback):
         self._measured: float | None = None
 
     def seconds(self, epoch: int, trainer: Trainer, module: LightningModule, data: WindowDataModule) -> float:
-        """Return about how long this takes after an epoch: a few steps of the rollouts, measured."""
+        """Estimate the time per epoch from a few measured rollout steps."""
         if (
             self.count == 0
             or data.stages is not None
@@ -55,7 +55,7 @@ class ValidationRollout(Callback):
             flow, whole = _flow(module), data.trajectories("val").part(slice(self.count))
             dt, start = Statistics.of(whole).dt, whole.states[:, 0]
             clock = whole.clock(clock_of(flow))
-            rollout(flow, start, dt, 2, clock=clock)  # the first of all may compile its library
+            rollout(flow, start, dt, 2, clock=clock)  # the first call may compile a library
             begin = time.perf_counter()
             rollout(flow, start, dt, TRIED + 1, clock=clock)
             self._measured = (time.perf_counter() - begin) / TRIED * whole.states.shape[1]
@@ -63,19 +63,19 @@ class ValidationRollout(Callback):
 
     @property
     def monitored(self) -> tuple[str, ...]:
-        """Names of what is logged."""
+        """Names of the logged metrics."""
         return ("val/rollout",) if self.count else ()
 
     def state_dict(self) -> dict[str, float]:
-        """Return the latest value, which epochs without a rollout repeat."""
+        """Return the latest value, which is repeated in epochs without a rollout."""
         return {"latest": self.latest}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Take the latest value from a checkpoint."""
+        """Restore the latest value from a checkpoint."""
         self.latest = state_dict["latest"]
 
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Log the value of this epoch, or the latest one; the last epoch always has its own."""
+        """Log the value of this epoch, or the latest one; the last epoch always computes one."""
         data = cast(Any, trainer).datamodule
         if self.count == 0 or data.stages is not None:
             return
@@ -85,7 +85,7 @@ class ValidationRollout(Callback):
         pl_module.log("val/rollout", self.latest, logger=False, sync_dist=True)
 
     def _error(self, trainer: Trainer, pl_module: LightningModule) -> float:
-        """Return the typical error of rollouts from the true start of a few validation trajectories."""
+        """Return the typical error of rollouts from true initial states of a few validation trajectories."""
         data: WindowDataModule = trainer.datamodule  # pyright: ignore[reportAttributeAccessIssue]
         dof = data.source.space.dof
         whole = data.trajectories("val").part(slice(self.count))
@@ -98,5 +98,5 @@ class ValidationRollout(Callback):
 
 
 def _flow(module: LightningModule) -> Any:
-    """Return the flow on the CPU, which takes many small steps of a few trajectories sooner than a GPU."""
+    """Return the flow on the CPU, which is faster than a GPU for many small steps of few trajectories."""
     return cast(Any, module).flow().cpu()

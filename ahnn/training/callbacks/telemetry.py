@@ -1,4 +1,4 @@
-"""Scalars for TensorBoard, written every few steps: a log call on each step would cost as much as a step."""
+"""Scalars for TensorBoard, written every few steps: logging at each step would cost as much as a step."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from ahnn.arguments import Count, checked
 from ahnn.errors import TrainingError
 
 OF_STEP = ("lr", "damping", "gradient_norm")
-"""Keys of a parameter group that are recorded where an optimiser has them."""
+"""Keys of optimiser parameter groups that are recorded where available."""
 
 RECORDS = 100
-"""Least number of records of a training, so that a short one has curves too."""
+"""Minimum number of records of a training, so that short ones have curves too."""
 
 PATIENCE = 0.5
-"""Seconds that records wait, to be written together: a training waits whenever the logger's thread wakes."""
+"""Seconds for which records are buffered: training waits whenever the logger's thread wakes up."""
 
 
 @checked
 class Telemetry(Callback):
-    """Writes loss, learning rate and gradient norm, and stops the run when a gradient is not finite.
+    """Writes loss, learning rate and gradient norm, and stops the run on a non-finite gradient.
 
     Args:
-        every: most optimiser steps between two records.
+        every: maximum number of optimiser steps between records.
     """
 
     def __init__(self, every: Count) -> None:
@@ -37,7 +37,7 @@ class Telemetry(Callback):
         self._due = 0.0
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Record more often where the whole training is short."""
+        """Increase the recording frequency for short trainings."""
         del pl_module
         total = int(trainer.num_training_batches) * int(trainer.max_epochs or 1)
         self.every = max(1, min(self.most, total // RECORDS))
@@ -45,7 +45,7 @@ class Telemetry(Callback):
     def on_before_optimizer_step(
         self, trainer: Trainer, pl_module: LightningModule, optimizer: Optimizer
     ) -> None:
-        """Measure the gradient on the steps that are recorded.
+        """Measure the gradient norm on recorded steps.
 
         Raises:
             TrainingError: the norm is not finite.
@@ -67,7 +67,7 @@ class Telemetry(Callback):
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Record the training loss and what the optimiser says of its step."""
+        """Record the training loss and the optimiser's step metrics."""
         del pl_module, batch, batch_idx
         if trainer.global_step % self.every == 0:
             group = trainer.optimizers[0].param_groups[0]
@@ -84,12 +84,12 @@ class Telemetry(Callback):
         self._write(trainer)
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Write what still waits."""
+        """Write buffered records."""
         del pl_module
         self._write(trainer)
 
     def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
-        """Write what still waits, before the training ends."""
+        """Write buffered records before the training ends."""
         del pl_module, exception
         self._write(trainer)
 

@@ -1,8 +1,8 @@
-"""How long a prediction of chaotic motion holds, in Lyapunov times, and what is right of it afterwards.
+"""Evaluation of chaotic motion: valid time of predictions in Lyapunov times, and long-term statistics.
 
-No model follows a chaotic path for ever: an error grows by a factor e in a Lyapunov time. So a forecast is
-judged by its valid time in that unit (Pathak et al. 2018, Phys. Rev. Lett. 120, 024102), and beyond it by
-whether it visits the states that the motion visits.
+No model follows a chaotic path indefinitely: errors grow by a factor e per Lyapunov time. Forecasts are
+therefore evaluated by their valid time in that unit (Pathak et al. 2018, Phys. Rev. Lett. 120, 024102), and
+afterwards by the distribution of visited states.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ahnn.types import Flow, Space
 __all__ = ["Chaos", "Horizons", "horizons", "lyapunov_exponents", "overlap"]
 
 DIFFERENCE = 1e-5
-"""Half width of central differences, in standard deviations of a component."""
+"""Half-width of central differences, in standard deviations of a component."""
 QUARTILES = (0.25, 0.5, 0.75)
 
 
@@ -33,8 +33,8 @@ class Horizons(NamedTuple):
     """Valid times of predictions.
 
     Attributes:
-        times: (B,) until the error passes the threshold; the end of the trajectory where it never does.
-        ended: (B,) bool, whether it passes.
+        times: (B,) times until the error exceeds the threshold; the end of the trajectory if it never does.
+        ended: (B,) bool, whether the error exceeds it.
     """
 
     times: Tensor
@@ -47,15 +47,16 @@ class Chaos:
     """Valid time of the prediction from the true start in Lyapunov times, and statistics beyond it.
 
     Args:
-        threshold: error, rms over components in standard deviations of the data, at which a prediction ends.
-        bins: of the histograms of each component.
+        threshold: error, rms over components in standard deviations of the data, up to which a prediction is
+            valid.
+        bins: number of histogram bins per component.
     """
 
     def __init__(self, threshold: Positive, bins: Count) -> None:
         self.threshold, self.bins = threshold, bins
 
     def check(self, truth: System | None, space: Space, steps: int) -> None:
-        """Raise UserError for controlled motion, whose growth of errors is that of the controls, too."""
+        """Raise UserError for controlled motion, in which error growth also depends on the controls."""
         del truth, steps
         if space.controls:
             message = f"plugins.chaos: expected motion without controls; received {', '.join(space.controls)}"
@@ -78,7 +79,7 @@ class Chaos:
 
 
 def findings(unit: str, rates: Tensor, found: Horizons, same: float) -> Findings:
-    """Return numbers, and a sentence for the table."""
+    """Return the numbers, and a note for the table."""
     rate = float(rates.mean())
     lasting = int((~found.ended).sum())
     quartiles = [float(found.times.quantile(part)) for part in QUARTILES]
@@ -106,16 +107,16 @@ def findings(unit: str, rates: Tensor, found: Horizons, same: float) -> Findings
 
 @torch.no_grad()
 def lyapunov_exponents(flow: Flow, states: Tensor, times: Tensor, dt: float, spread: Tensor) -> Tensor:
-    """Return the largest exponent of each trajectory over its length, (B,), per unit of time.
+    """Return the largest Lyapunov exponent along each trajectory, (B,), per unit of time.
 
-    A deviation is carried along the states by the Jacobians of the steps and scaled back after each
-    (Benettin et al. 1980, Meccanica 15, 9).
+    A deviation is propagated along the states by the step Jacobians and renormalised after each (Benettin et
+    al. 1980, Meccanica 15, 9).
 
     Args:
-        flow: accurate to rounding.
-        states: (B, T, D) of the trajectories.
-        times: (B, T) of the samples.
-        dt: length of a step.
+        flow: flow that is accurate to rounding.
+        states: (B, T, D) states of the trajectories.
+        times: (B, T) sample times.
+        dt: step length.
         spread: (D,) unit of each component.
     """
     count, samples, size = states.shape
@@ -132,7 +133,7 @@ def lyapunov_exponents(flow: Flow, states: Tensor, times: Tensor, dt: float, spr
 
 
 def horizons(prediction: Tensor, truth: Tensor, times: Tensor, spread: Tensor, threshold: float) -> Horizons:
-    """Return how long predictions (B, T, D) stay within a threshold of the truth."""
+    """Return the times for which predictions (B, T, D) stay within a threshold of the truth."""
     error = ((prediction - truth) / spread).square().mean(-1).sqrt()
     beyond = ~(error <= threshold)
     ended = beyond.any(1)
@@ -142,9 +143,9 @@ def horizons(prediction: Tensor, truth: Tensor, times: Tensor, spread: Tensor, t
 
 
 def overlap(prediction: Tensor, truth: Tensor, bins: int) -> float:
-    """Return what histograms of predicted and true states (..., D) have in common, a mean over components.
+    """Return the mean overlap of histograms of predicted and true state components (..., D).
 
-    1 where both visit the same states as often, 0 where they have none in common.
+    1 for identical distributions, 0 for disjoint ones.
     """
     shared = []
     for ours, theirs in zip(prediction.flatten(0, -2).T, truth.flatten(0, -2).T, strict=True):

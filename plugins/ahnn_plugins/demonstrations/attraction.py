@@ -1,4 +1,4 @@
-"""What was learned of the Sun's attraction: mu read off the potential, and a look ahead beside Kepler."""
+"""Learned attraction of the Sun: mu from the potential, and predictions compared with Kepler motion."""
 
 from __future__ import annotations
 
@@ -22,25 +22,25 @@ COLOURS = (style.ORANGE, style.GREEN, style.BLUE, style.VERMILLION, style.PURPLE
 @final
 @checked
 class Attraction:
-    """The learned potential against mu/r, and predictions beside Kepler's motion from the same starts.
+    """Comparison of the learned potential with mu/r, and of predictions with Kepler motion.
 
     Args:
         mu: published gravitational parameter of the centre, in the units of the data.
-        bodies: that of each body, by name, in the order in which their trajectories take turns.
+        bodies: gravitational parameter of each body, by name, in the order of their alternating trajectories.
     """
 
     def __init__(self, mu: Positive, bodies: dict[str, Positive]) -> None:
         self.mu, self.bodies = mu, bodies
 
     def check(self, truth: System | None, space: Space, steps: int) -> None:
-        """Raise UserError for data that are not of bodies in space."""
+        """Raise UserError for data other than bodies in space."""
         del truth, steps
         if space.dof != 3 or not self.bodies:
             message = f"bodies: expected some, in three dimensions; received {self.bodies} in {space.dof}"
             raise UserError(message)
 
     def __call__(self, case: Case) -> Findings:
-        """Return the row of Kepler's motion, mu of each body, and a figure of either.
+        """Return the row of Kepler motion, mu of each body, and figures of both.
 
         Raises:
             UserError: a model without a Hamiltonian.
@@ -78,7 +78,7 @@ class Attraction:
         return Findings(rows=[row], numbers=numbers, arrays={"kepler": beside}, figures=figures)
 
     def _strengths(self, case: Case) -> tuple[Tensor, Tensor]:
-        """Return distances r and r² V'(r), each (B, T), along the orbits of the training."""
+        """Return distances r and r² V'(r), each (B, T), along the training orbits."""
         states = case.train.states
         still = torch.cat((states[..., :3], torch.zeros_like(states[..., 3:])), dim=-1).requires_grad_()
         (gradient,) = torch.autograd.grad(case.energy(still).sum(), still)  # pyright: ignore
@@ -86,7 +86,7 @@ class Attraction:
         return q.norm(dim=-1), (q * gradient[..., :3]).sum(-1) * q.norm(dim=-1)
 
     def _attraction(self, far: Tensor, strengths: Tensor, case: Case) -> Figure:
-        """Draw r² V' / mu - 1 over the distance, and what the masses of the bodies add to it."""
+        """Plot r² V' / mu - 1 over the distance, and the contribution of the bodies' masses."""
         figure = style.canvas(8, 4)
         axes = figure.subplots()
         for k, (name, mass) in enumerate(self.bodies.items()):
@@ -106,7 +106,7 @@ class Attraction:
         return figure
 
     def _ahead(self, errors: dict[str, Tensor], case: Case) -> Figure:
-        """Draw the error of position of each body over time, model and Kepler."""
+        """Plot the position error of each body over time, for model and Kepler motion."""
         count = len(self.bodies)
         figure = style.canvas(9, 6)
         panels = figure.subplots(-(-count // 2), 2, sharex=True, squeeze=False).flatten()
@@ -131,5 +131,5 @@ def distances(prediction: Tensor, case: Case) -> Tensor:
 
 
 def by_body(error: Tensor, count: int) -> list[float]:
-    """Return the rms over time, averaged over the stretches of each body."""
+    """Return the rms over time, averaged over the segments of each body."""
     return [float(error[k::count].square().mean(1).sqrt().mean()) for k in range(count)]

@@ -1,4 +1,4 @@
-"""Libraries that only a demonstration needs."""
+"""Import of libraries required only by demonstrations."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ahnn.errors import UserError
 
 
 def require(module: str, extra: str) -> Any:
-    """Return a module of an optional library; raises UserError that names the extra that brings it."""
+    """Import a module of an optional library; raises UserError that names the extra to install."""
     try:
         return importlib.import_module(module)
     except ImportError as error:

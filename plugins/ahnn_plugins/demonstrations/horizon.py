@@ -26,10 +26,10 @@ NUDGE = 1e-6
 
 
 class Ahead(NamedTuple):
-    """A prediction of the test trajectories.
+    """Prediction of the test trajectories.
 
     Attributes:
-        name: of the flow.
+        name: name of the flow.
         start: `true`, or `fitted` to the first positions.
         states: (B, T, D).
         errors: (N,) rms error of position over all trajectories, period by period.
@@ -139,7 +139,7 @@ class Horizon:
         return torch.stack([error[:, index == k].square().mean().sqrt() for k in range(count)])
 
     def _figure(self, ahead: list[Ahead], case: Case) -> Figure:
-        """Draw rms errors of position over time, a panel for each kind of start."""
+        """Plot rms position errors over time, one panel per kind of start."""
         figure = style.canvas(8, 6.5)
         panels = figure.subplots(2, 1, sharex=True)
         time = (case.test.times[0] - case.test.times[0, 0]) / self.period

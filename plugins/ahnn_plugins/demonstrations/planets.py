@@ -1,4 +1,4 @@
-"""Planets as JPL's ephemeris DE421 has them: motion fitted to observations, not simulated here.
+"""Planetary trajectories from JPL's ephemeris DE421, fitted to observations.
 
 Folkner, Williams and Boggs, The Planetary and Lunar Ephemeris DE421, IPN Progress Report 42-178 (2009).
 """
@@ -23,12 +23,12 @@ class Planets:
     """Heliocentric positions and velocities in au and au/d, axes of the ICRF, time in days of TDB.
 
     Args:
-        name: of the data, in folders and tables.
+        name: name of the data, in folders and tables.
         planets: names as in DE421; `earthmoon` is the barycentre of Earth and Moon.
         begin: Julian date of the first sample, TDB.
         step: days between two samples.
-        samples: of a stretch, which is one trajectory.
-        stretches: of each planet, one after the other.
+        samples: number of samples per segment, i.e. trajectory.
+        stretches: number of consecutive segments per planet.
 
     Raises:
         UserError: a planet that DE421 does not have, or dates that it does not cover.
@@ -48,16 +48,16 @@ class Planets:
         self._check()
 
     def recipe(self) -> dict[str, Any]:
-        """Return which samples of the ephemeris these are."""
+        """Return the definition of the samples."""
         known = ("planets", "begin", "step", "samples", "stretches")
         return {"ephemeris": "DE421", **{name: getattr(self, name) for name in known}}
 
     def steps(self) -> int:
-        """Return the steps of a stretch."""
+        """Return the number of steps per segment."""
         return self.samples - 1
 
     def read(self) -> Trajectories:
-        """Return the stretches, those of all planets that begin together next to each other."""
+        """Return the segments, ordered by start time and then planet."""
         times = self.step * np.arange(self.stretches * self.samples)
         sun = self._barycentric("sun", times)
         states = np.stack([self._barycentric(planet, times) - sun for planet in self.planets])

@@ -1,7 +1,7 @@
-"""Satellites as SGP4 moves them, from the element sets that are published with it as its verification.
+"""Satellite trajectories by SGP4, from its published verification element sets.
 
 Vallado, Crawford, Hujsak and Kelso, Revisiting Spacetrack Report #3, AIAA 2006-6753: the sets, the method and
-its constants (WGS-72). The package sgp4 has them in a file of its own.
+its constants (WGS-72). The package sgp4 contains them as a file.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ahnn_plugins.demonstrations.extras import require
 from ahnn_plugins.demonstrations.segmented_series import stretches
 
 APART, ORDER = 10.0, 8
-"""Seconds between the positions that a velocity is read off, and order of that difference."""
+"""Spacing in seconds of positions for numerical velocities, and order of the difference."""
 DAY = 86400.0
 
 
@@ -31,18 +31,19 @@ class Satellites:
 
     Times are in s of UTC from 0 h of the day of the first set.
 
-    Velocities are derivatives of the positions: those that SGP4 reports differ from them, on Molniya orbits
-    by up to 2 m/s near perigee.
+    Velocities are derivatives of the positions: velocities reported by SGP4 differ from them by up to 2 m/s
+    near perigee of Molniya orbits.
 
     Args:
-        name: of the data, in folders and tables.
+        name: name of the data, in folders and tables.
         satellites: their catalogue numbers.
         step: seconds between two samples.
-        samples: of a stretch, which is one trajectory.
-        stretches: of each satellite, one after the other.
+        samples: number of samples per segment, i.e. trajectory.
+        stretches: number of consecutive segments per satellite.
 
     Raises:
-        UserError: a satellite that the verification set does not have, or that SGP4 cannot follow so long.
+        UserError: a satellite that the verification set does not have, or that SGP4 cannot propagate that
+            long.
     """
 
     truth: System | None = None
@@ -62,17 +63,17 @@ class Satellites:
         self._sets = [known[number] for number in satellites]
 
     def recipe(self) -> dict[str, Any]:
-        """Return the element sets, and which samples of their motion these are."""
+        """Return the element sets, and the definition of the samples."""
         known = ("satellites", "step", "samples", "stretches")
         sets = [list(lines) for lines in self._sets]
         return {"sgp4": sets, **{name: getattr(self, name) for name in known}}
 
     def steps(self) -> int:
-        """Return the steps of a stretch."""
+        """Return the number of steps per segment."""
         return self.samples - 1
 
     def read(self) -> Trajectories:
-        """Return the stretches, those of all satellites that begin together next to each other."""
+        """Return the segments, ordered by start time and then satellite."""
         times = self.step * np.arange(self.stretches * self.samples)
         states = np.stack([moved(lines, times) for lines in self._sets])
         epochs = np.array([days_since_1950(lines) for lines in self._sets])
@@ -98,7 +99,7 @@ def moved(lines: tuple[str, str], times: np.ndarray) -> np.ndarray:
     """Return states (T, 6) at times (T,) in s from the epoch of an element set.
 
     Raises:
-        UserError: SGP4 gives up.
+        UserError: SGP4 fails.
     """
     satellite = require("sgp4.api", "orbit").Satrec.twoline2rv(*lines)
 

@@ -1,4 +1,4 @@
-"""Long series of samples cut into stretches, in the order of time."""
+"""Long series of samples cut into segments in order of time."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from ahnn.types import Trajectories
 
 
 def stretches(states: np.ndarray, times: np.ndarray, samples: int) -> Trajectories:
-    """Return the stretches of several bodies, those of all bodies that begin together next to each other.
+    """Cut series of several bodies into segments, ordered by start time and then body.
 
-    A split by trajectory is then one by time: what comes later is not seen by what comes before.
+    A split by trajectory is then a split by time, without leakage of later data into training.
 
     Args:
         states: (N, T, D) of the bodies, T a multiple of `samples`.

@@ -1,4 +1,4 @@
-"""The two-body problem in closed form: a state after any time, by Kepler's equation."""
+"""Closed-form propagation of the two-body problem by Kepler's equation."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import torch
 from torch import Tensor
 
 ITERATIONS = 50
-"""Newton steps at most; seven are enough for eccentricities up to 0.9."""
+"""Maximum number of Newton steps; seven are enough for eccentricities up to 0.9."""
 
 
 def kepler(x: Tensor, t: Tensor, mu: Tensor | float) -> Tensor:
-    """Return the states (..., 6) that elliptic two-body motion reaches after the times t, shape (...).
+    """Propagate states (..., 6) by elliptic two-body motion over the times t, shape (...).
 
-    Lagrange's f and g with the difference of eccentric anomalies E (Battin, An Introduction to the
-    Mathematics and Methods of Astrodynamics, section 4.3): with sigma = q.v / sqrt(mu),
-    n t = E - (1 - r/a) sin E + sigma / sqrt(a) (1 - cos E).
+    Uses Lagrange's f and g with the difference of eccentric anomalies E (Battin, An Introduction to the
+    Mathematics and Methods of Astrodynamics, section 4.3): with sigma = q.v / sqrt(mu), n t = E - (1 - r/a)
+    sin E + sigma / sqrt(a) (1 - cos E).
 
     Args:
         x: (..., 6) positions and velocities, bound to the centre.
-        t: times that have passed, in the unit of the velocities.
-        mu: gravitational parameter, one or one for each state.
+        t: elapsed times, in the unit of the velocities.
+        mu: gravitational parameter, common or per state.
     """
     q, v = x.chunk(2, dim=-1)
     mu = torch.as_tensor(mu, dtype=x.dtype)
@@ -27,7 +27,7 @@ def kepler(x: Tensor, t: Tensor, mu: Tensor | float) -> Tensor:
     a = 1 / (2 / r - (v * v).sum(-1) / mu)
     n, c, s = (mu / a**3).sqrt(), 1 - r / a, sigma / a.sqrt()
     mean = n * t
-    e = mean + s  # near enough: Kepler's equation is monotonic
+    e = mean + s  # close enough, since Kepler's equation is monotonic
     for _ in range(ITERATIONS):
         move = (e - c * e.sin() + s * (1 - e.cos()) - mean) / (1 - c * e.cos() + s * e.sin())
         e = e - move

@@ -3,10 +3,9 @@
 The Jacobian of a step is its state transition (`ahnn.dynamics.transition`), in closed form for learned
 Hamiltonians; that of a measurement is by reverse mode (Bar-Shalom, Li & Kirubarajan 2001, section 10.3).
 Prediction and update triangularise rows and subtract nothing (Kailath, Sayed & Hassibi 2000, chapter 12).
-An iterated update linearises the measurement again where the last iteration put the mean: Gauss-Newton steps
-to the most probable state (Bell & Cathey 1993). What a row tells is by its prediction, which no iteration
-changes.
-Gate, status, streams, process noise, figures and rows are those of every filter, see
+An iterated update relinearises the measurement at the last mean: Gauss-Newton steps to the most probable
+state (Bell & Cathey 1993). Innovation and likelihood refer to the prediction and are unchanged by iterations.
+Gate, status, streams, process noise, figures and rows are common to all filters, see
 `ahnn.estimation.estimator`.
 """
 
@@ -42,20 +41,20 @@ class LinearisedKernel(NamedTuple):
     """Predictions and updates to first order about the mean.
 
     Attributes:
-        iterations: of an update.
+        iterations: number of iterations of an update.
     """
 
     iterations: int = 1
 
     @property
     def rounding(self) -> Rounding:
-        """Nothing is amplified: means are images of means, and covariances are never formed."""
+        """No amplification: means are images of means, and covariances are never formed."""
         return Rounding()
 
     def predict(
         self, belief: Belief, flow: Flow, dt: float, chol_q: Tensor, *, smoothing: bool = False
     ) -> Predicted:
-        """Return the image of the mean, and the covariance that the state transition carries, plus Q."""
+        """Return the image of the mean, and the covariance propagated by the state transition, plus Q."""
         mean, moved = transition(flow, belief.mean, dt)
         require_states(mean, belief.mean.shape)
         spread, size = (moved.to(belief.chol) @ belief.chol).mT, belief.mean.shape[-1]
@@ -74,7 +73,7 @@ class LinearisedKernel(NamedTuple):
         return first._replace(belief=updated.belief, singular=first.singular | updated.singular)
 
     def linearised(self, prior: Belief, at: Tensor, y: Tensor, sensor: SensorModel, time: float) -> Updated:
-        """Return the belief given y, the measurement a line at the states `at`, (B, D)."""
+        """Condition the belief on y with the measurement linearised at the states `at`, (B, D)."""
         model, present = sensor.measurement, ~torch.isnan(y)
         with torch.inference_mode(mode=False):
             at = at.clone() if at.is_inference() else at
@@ -83,7 +82,7 @@ class LinearisedKernel(NamedTuple):
             else:
                 slope = pointwise_jacobian(lambda x: model(x, time).to(x.dtype), at)
         predicted = measured(model, at.unsqueeze(1), time)[:, 0]
-        # What is missing is filled in: a residual may mix components.
+        # Missing components are filled in, since a residual may mix components.
         innovation = residual(model, torch.where(present, y, predicted), predicted)
         innovation = innovation - (slope @ (prior.mean - at).unsqueeze(-1)).squeeze(-1)
         innovation = torch.where(present, innovation, 0.0)
@@ -102,18 +101,18 @@ class ExtendedKalmanFilter(GaussianFilter):
     `ahnn.measurements.Sloped`).
 
     Attributes:
-        gate: refuses improbable measurement rows; None takes all.
-        iterations: of an update; 1 linearises at the prediction alone.
+        gate: gate for improbable measurement rows, or None.
+        iterations: number of iterations of an update; 1 linearises at the prediction only.
 
     Raises:
-        UserError: no whole number of iterations.
+        UserError: the number of iterations is not an integer.
     """
 
     gate: Gate | None = None
     iterations: int = 1
 
     def __post_init__(self) -> None:
-        """Refuse what is no number of iterations and no gate."""
+        """Check the number of iterations and the gate."""
         super().__post_init__()
         if not isinstance(self.iterations, int) or self.iterations < 1:
             message = f"iterations: expected a whole number >= 1; received {self.iterations!r}"
@@ -122,12 +121,12 @@ class ExtendedKalmanFilter(GaussianFilter):
     @property
     def about(self) -> dict[str, Any]:
         """Plain values that determine its estimates."""
-        # States of streams that were saved before there were iterations are of one.
+        # States of streams saved before iterations were introduced imply one iteration.
         return super().about | ({} if self.iterations == 1 else {"iterations": self.iterations})
 
     @property
     def name(self) -> str:
-        """What its rows are called."""
+        """Name in tables."""
         return "ekf"
 
     def kernel(self, belief: Belief) -> LinearisedKernel:

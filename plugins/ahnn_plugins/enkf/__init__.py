@@ -1,4 +1,4 @@
-"""Ensemble Kalman filter: the covariance is that of an ensemble, which the flow carries member by member."""
+"""Ensemble Kalman filter: covariances are estimated from an ensemble propagated by the flow."""
 
 from __future__ import annotations
 

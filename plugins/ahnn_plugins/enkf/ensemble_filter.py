@@ -1,17 +1,17 @@
-"""The ensemble Kalman filter (Evensen 1994): the Kalman update with the covariance of an ensemble.
+"""Ensemble Kalman filter (Evensen 1994): the Kalman update with the covariance of an ensemble.
 
 With the deviations A of the ensemble from its mean and Y of its measured images, both over sqrt(N - 1), the
 covariance of the innovation is S = Y Yᵀ + R, the gain K = A Yᵀ S⁻¹. Two forms of the analysis:
 
-    stochastic    each member sees the measurement with noise of its own: x_i + K (y + e_i - h(x_i)),
+    stochastic    each member uses an independently perturbed measurement: x_i + K (y + e_i - h(x_i)),
                   e_i ~ N(0, R) (Burgers, van Leeuwen & Evensen 1998)
-    square_root   the mean moves by K, deviations by K' = A Yᵀ S^(-T/2) (S^(1/2) + R^(1/2))⁻¹ (Whitaker &
-                  Hamill 2002, eq. 10; Andrews 1968): the covariance is (I - K H) P, without noise of its own
+    square_root   the mean is updated by K, deviations by K' = A Yᵀ S^(-T/2) (S^(1/2) + R^(1/2))⁻¹ (Whitaker &
+                  Hamill 2002, eq. 10; Andrews 1968): the covariance is (I - K H) P, without perturbations
 
-Random numbers that are added have mean zero over the ensemble, so that they do not move its mean. Where the
-members are enough, the first ensemble has exactly the moments of the belief (second-order exact sampling:
-Pham 2001). The square-root form draws process noise likewise, and uncorrelated with the ensemble, where there
-are more than 2 D members: on a linear system it is then the Kalman filter, to rounding.
+Added random numbers have zero mean over the ensemble and do not change its mean. With enough members the
+initial ensemble has exactly the moments of the belief (second-order exact sampling: Pham 2001). With more
+than 2 D members the square-root form draws process noise in the same way, uncorrelated with the ensemble: on
+a linear system it then equals the Kalman filter, to rounding.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ Analysis = Literal["stochastic", "square_root"]
 
 
 class Joint(NamedTuple):
-    """Measurement and state together.
+    """Joint distribution of measurement and state.
 
     Attributes:
         chol: (B, M + D, M + D) lower factor of their covariance, measurement noise included.
-        deviations: (B, N, M) of the measured members from their mean.
-        innovation: (B, M).
+        deviations: (B, N, M) deviations of the measured members from their mean.
+        innovation: (B, M) innovation.
         noise: (B, 2 M, M) rows of the measurement noise, see `present_noise`.
     """
 
@@ -63,18 +63,18 @@ class Joint(NamedTuple):
 @final
 @dataclass(frozen=True)
 class EnsembleKalmanFilter(SampleFilter):
-    """Ensemble Kalman filter with additive noise for a batch of B members, each with an ensemble of its own.
+    """Ensemble Kalman filter with additive noise for a batch of B members, each with a separate ensemble.
 
     Attributes:
-        ensemble: how many states are followed, N; more than D of a state, where nothing is localised.
+        ensemble: ensemble size N; greater than D without localisation.
         form: `square_root` or `stochastic`.
         inflation: factor on the deviations before each update (Anderson & Anderson 1999); 1 for none.
-        localisation: taper of the covariances, or its attributes; None for none.
-        seed: of the random numbers.
-        gate: refuses improbable measurement rows; None takes all.
+        localisation: taper of the covariances, or its attributes, or None.
+        seed: seed of the random numbers.
+        gate: gate for improbable measurement rows, or None.
 
     Raises:
-        UserError: a value beyond its limits.
+        UserError: a value outside its limits.
     """
 
     ensemble: int = 100
@@ -85,7 +85,7 @@ class EnsembleKalmanFilter(SampleFilter):
     gate: Gate | None = None
 
     def __post_init__(self) -> None:
-        """Refuse values beyond their limits."""
+        """Check that values are within their limits."""
         super().__post_init__()
         if not isinstance(self.ensemble, int) or self.ensemble < 2:
             message = f"ensemble: expected a whole number >= 2; received {self.ensemble!r}"
@@ -102,12 +102,12 @@ class EnsembleKalmanFilter(SampleFilter):
 
     @property
     def name(self) -> str:
-        """What its rows are called."""
+        """Name in tables."""
         return "enkf"
 
     @property
     def count(self) -> int:
-        """N."""
+        """Ensemble size N."""
         return self.ensemble
 
     @property
@@ -119,16 +119,16 @@ class EnsembleKalmanFilter(SampleFilter):
 
     @property
     def smoothers(self) -> dict[str, Callable[[FilterResult, Batch], Smoothed]]:
-        """The Rauch-Tung-Striebel smoother by covariances of the ensemble; none where they are tapered."""
+        """Rauch-Tung-Striebel smoother by ensemble covariances; none if they are tapered."""
         if self.localisation is not None:
             return {}
         return {"smoothed": lambda result, _: Smoothed(smoother(result))}
 
     def drawn(self, belief: Belief, random: RandomNumbers) -> Tensor:
-        """Return the first ensemble (B, N, D).
+        """Draw the initial ensemble (B, N, D).
 
         Raises:
-            UserError: fewer members than a covariance of full rank takes, and nothing localised.
+            UserError: fewer members than required for a covariance of full rank, without localisation.
         """
         size = belief.mean.shape[-1]
         if self.ensemble <= size and self.localisation is None:
@@ -150,7 +150,7 @@ class EnsembleKalmanFilter(SampleFilter):
         return uncorrelated(draw - basis @ (basis.mT @ draw))
 
     def moments(self, points: Tensor, log_weights: Tensor | None = None) -> Belief:
-        """Return mean and covariance of an ensemble, tapered where that is asked for."""
+        """Return mean and covariance of an ensemble, tapered if requested."""
         del log_weights
         belief = sample_moments(points)
         if self.localisation is None:
@@ -159,7 +159,7 @@ class EnsembleKalmanFilter(SampleFilter):
         return Belief(belief.mean, cholesky_repaired(taper * belief.covariance)[0])
 
     def law(self, before: Tensor, images: Tensor, chol_q: Tensor) -> Backward:
-        """Return the law back, of the covariance of the ensembles before and after the flow."""
+        """Return the backward law from the joint covariance of the ensembles before and after the flow."""
         both, size = torch.cat((images, before), dim=-1), before.shape[-1]
         rows = (both - both.mean(1, keepdim=True)) / (self.ensemble - 1) ** 0.5
         return backward_law(tria(torch.cat((rows, pad(chol_q.mT, (0, size))), dim=1)))[0]
@@ -167,7 +167,7 @@ class EnsembleKalmanFilter(SampleFilter):
     def conditioned(
         self, state: SampleState, images: Tensor, y: Tensor, sensor: SensorModel
     ) -> tuple[SampleState, Updated]:
-        """Return the ensemble of a state given a row, and the update."""
+        """Condition the ensemble on a row; return the state and the update."""
         prior, points = state.belief, state.points
         if self.inflation != 1.0:
             centre = prior.mean.unsqueeze(1)
@@ -178,7 +178,7 @@ class EnsembleKalmanFilter(SampleFilter):
         told, width = conditioned(prior, joint.chol, joint.innovation, y), y.shape[-1]
         chol_y, cross = joint.chol[:, :width, :width], joint.chol[:, width:, :width]
         if self.form == "stochastic":
-            # Rows of the noise without those that stand for missing components.
+            # Noise rows without those of missing components.
             draw = centred(state.random.normal(y, *joint.deviations.shape))
             off = joint.innovation.unsqueeze(1) - joint.deviations + draw @ joint.noise[:, :width]
             moved = points + _solved(off, chol_y) @ cross.mT
@@ -191,9 +191,9 @@ class EnsembleKalmanFilter(SampleFilter):
     def joint(
         self, prior: Belief, points: Tensor, images: Tensor, y: Tensor, sensor: SensorModel, time: float
     ) -> Joint:
-        """Return the joint law of a row (B, M) and the state, from an ensemble (B, N, D) and its images.
+        """Return the joint law of a row (B, M) and the state from an ensemble (B, N, D) and its images.
 
-        Where the covariance is tapered, the image of it is that of points on either side along its factor.
+        For a tapered covariance the image is computed from symmetric points along its factor.
         """
         deviations, innovation = image_deviations(images, 1.0 / self.ensemble, y, sensor)
         noise = present_noise(sensor.chol_r, ~torch.isnan(y))
@@ -212,7 +212,7 @@ class EnsembleKalmanFilter(SampleFilter):
 
 
 def centred(draw: Tensor) -> Tensor:
-    """Return normal numbers (B, N, ...) whose mean over the ensemble is zero, of variance one as before."""
+    """Return normal numbers (B, N, ...) whose mean over the ensemble is zero, of unit variance."""
     count = draw.shape[1]
     return (draw - draw.mean(1, keepdim=True)) * (count / (count - 1)) ** 0.5
 

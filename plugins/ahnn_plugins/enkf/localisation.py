@@ -1,4 +1,4 @@
-"""Localisation: correlations that a small ensemble finds between distant coordinates are taken as chance."""
+"""Localisation: suppression of spurious ensemble correlations between distant coordinates."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from ahnn.errors import UserError
 @checked
 @dataclass(frozen=True)
 class Localisation:
-    """A taper of covariances by the distance of coordinates, as their numbers along a chain say it.
+    """Taper of covariances by the distance of coordinates along a chain.
 
     Component k of a state belongs to coordinate k mod `coordinates`: q_i, p_i, and the error of the force on
-    i, are at one place.
+    i, share a position.
 
     Attributes:
-        radius: distance, in coordinates, from which on there is no correlation.
-        coordinates: of the chain, n.
-        ring: whether the last is beside the first.
+        radius: distance, in coordinates, beyond which correlations are zero.
+        coordinates: number n of coordinates of the chain.
+        ring: whether the last coordinate is adjacent to the first.
     """
 
     radius: Positive
@@ -32,7 +32,7 @@ class Localisation:
     ring: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse a taper that reaches around a ring, which may not be positive definite; raises UserError."""
+        """Raise UserError for a taper that wraps around a ring, which may not be positive definite."""
         if self.ring and 2 * self.radius > self.coordinates:
             most = f"{self.coordinates / 2:g}, half the ring"
             message = f"localisation.radius: expected at most {most}; received {self.radius:g}"
@@ -42,7 +42,7 @@ class Localisation:
         """Return the factors (D, D) on the covariances of states of D components.
 
         Raises:
-            UserError: components beside those of the chain, such as biases or learned parameters.
+            UserError: components outside the chain, such as biases or learned parameters.
         """
         if size % self.coordinates:
             message = (
@@ -60,7 +60,7 @@ class Localisation:
 def gaspari_cohn(z: Tensor) -> Tensor:
     """Return the correlation at distances z >= 0 in half radii: 1 at 0, 0 from 2 on, twice differentiable.
 
-    Gaspari & Cohn 1999, eq. 4.10: fifth degree piece by piece, positive definite in up to three dimensions.
+    Gaspari & Cohn 1999, eq. 4.10: piecewise of fifth degree, positive definite in up to three dimensions.
     """
     near = (((-0.25 * z + 0.5) * z + 0.625) * z - 5.0 / 3.0) * z**2 + 1.0
     far = (

@@ -1,4 +1,4 @@
-"""Interacting multiple models: a Gaussian filter for each mode of a motion, mixed as modes switch."""
+"""Interacting multiple models: one Gaussian filter per mode of the motion, mixed by mode transitions."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
 """Interacting multiple models (Blom & Bar-Shalom 1988; Bar-Shalom, Li & Kirubarajan 2001, section 11.6.6).
 
-A motion switches between modes as a Markov chain does. Each mode has a belief and a probability. Before a
-step the beliefs are mixed: that of mode j becomes the moments of all of them, each as probable as it is that
-mode j is entered from its mode. Each is then predicted and updated by a Gaussian filter with the process
-noise, and if it has one the flow, of its mode; the density of a measurement under a mode weighs it. To others
-the belief is the moments of the mixture, and so are innovation, NIS and gate; the log-likelihood is that of
-the mixture.
+The motion switches between modes by a Markov chain. Each mode has a belief and a probability. Before a step
+the beliefs are mixed: that of mode j becomes the moments of all beliefs, weighted by the probabilities of
+transition to mode j. Each is then predicted and updated by a Gaussian filter with the process noise, and
+optionally the flow, of its mode; modes are weighted by the likelihood of the measurement. The published
+belief consists of the moments of the mixture, which also define innovation, NIS and gate; the log-likelihood
+is that of the mixture.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ class InteractingModels(MemberFilter[MixtureState]):
     """Interacting multiple models for a batch of B members, each with K beliefs.
 
     Attributes:
-        filter: the Gaussian filter of each mode; its gate is not used.
-        modes: at least two, or the attributes of each.
-        dwell: mean time that a mode lasts, or one for each mode, in the unit of time.
-        gate: refuses improbable measurement rows; None takes all.
+        filter: Gaussian filter of the modes; its gate is ignored.
+        modes: at least two modes, or their attributes.
+        dwell: mean duration of a mode, common or per mode, in the unit of time.
+        gate: gate for improbable measurement rows, or None.
 
     Raises:
-        UserError: no Gaussian filter, fewer than two modes, or a time that is not positive.
+        UserError: not a Gaussian filter, fewer than two modes, or a time that is not positive.
     """
 
     carried: ClassVar[type[MemberState]] = MixtureState
@@ -57,7 +57,7 @@ class InteractingModels(MemberFilter[MixtureState]):
     gate: Gate | None = None
 
     def __post_init__(self) -> None:
-        """Refuse values beyond their limits."""
+        """Check that values are within their limits."""
         super().__post_init__()
         if not isinstance(self.filter, GaussianFilter):
             message = (
@@ -78,12 +78,12 @@ class InteractingModels(MemberFilter[MixtureState]):
 
     @property
     def name(self) -> str:
-        """What its rows are called."""
+        """Name in tables."""
         return "imm"
 
     @property
     def definite(self) -> bool:
-        """Whether the filters of the modes need a definite measurement noise."""
+        """Whether the filters of the modes require definite measurement noise."""
         return self.filter.definite
 
     @property
@@ -95,13 +95,13 @@ class InteractingModels(MemberFilter[MixtureState]):
 
     @property
     def _modes(self) -> tuple[MotionMode, ...]:
-        return self.modes  # pyright: ignore[reportReturnType] - made of their attributes above
+        return self.modes  # pyright: ignore[reportReturnType] - built from attributes above
 
     def initial(self, belief: Belief, time: float) -> MixtureState:
-        """Return the state of a belief, in modes as probable as they are in the long run.
+        """Return the state of a belief, with stationary mode probabilities.
 
         Raises:
-            UserError: modes that do not fit states of this size.
+            UserError: modes incompatible with states of this size.
         """
         for k, mode in enumerate(self._modes):
             mode.require_size(belief.mean.shape[-1], f"modes.{k}")
@@ -120,7 +120,7 @@ class InteractingModels(MemberFilter[MixtureState]):
         *,
         smoothing: bool = False,
     ) -> tuple[MixtureState, Backward | None]:
-        """Return the state after a step of the flow that ends at `time`; there is no law back."""
+        """Propagate the state over a step ending at `time`; there is no backward law."""
         del smoothing
         dwell = torch.tensor(self.dwell, dtype=torch.float64, device=chol_q.device)
         step, kernel = mixing(state.log_modes, dwell, dt), self.filter.kernel(state.belief)
@@ -139,13 +139,13 @@ class InteractingModels(MemberFilter[MixtureState]):
     def updated(
         self, state: MixtureState, y: Tensor, sensor: SensorModel
     ) -> tuple[MixtureState, Updated, Tensor]:
-        """Return the state given a row (B, M), the update, and which rows the gate rejected, (B,) bool."""
+        """Condition the state on a row (B, M); return state, update, and gate rejections, (B,) bool."""
         kernel, time = self.filter.kernel(state.belief), float(state.time)
         found = [kernel.update(belief, y, sensor, time) for belief in state.beliefs]
         weighed = state.log_modes + torch.stack([one.log_likelihood for one in found], 1)
         total = weighed.logsumexp(-1)
         proposed = state.mixed([one.belief for one in found], weighed - total.unsqueeze(-1))
-        told = kernel.update(state.belief, y, sensor, time)._replace(  # beside the moments
+        told = kernel.update(state.belief, y, sensor, time)._replace(  # in addition to the moments
             belief=proposed.belief,
             log_likelihood=total,
             singular=torch.stack([one.singular for one in found]).any(0),
@@ -157,7 +157,7 @@ class InteractingModels(MemberFilter[MixtureState]):
 
 
 def _sum(counts: list[Tensor | None]) -> Tensor | None:
-    """Return sums (B,) of counts, of which None are zeros; None where all are."""
+    """Return sums (B,) of counts, with None as zeros; None if all are None."""
     there = [count for count in counts if count is not None]
     return torch.stack(there).sum(0) if there else None
 

@@ -1,4 +1,4 @@
-"""A mixture of Gaussian beliefs, one for each mode: its moments, its state, and the chain that mixes it."""
+"""Mixture of Gaussian beliefs, one per mode: moments, filter state, and Markov chain."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ahnn.estimation.linalg import tria
 
 
 class MixtureState(NamedTuple):
-    """All that interacting models carry for B members; what is not said here as of `FilterState`.
+    """State of interacting models for B members; undocumented fields as in `FilterState`.
 
     Attributes:
         belief: moments of the mixture, computed once.
@@ -25,7 +25,7 @@ class MixtureState(NamedTuple):
         log_likelihood: (B,) float64.
         mode_means: (B, K, D) float64.
         mode_chols: (B, K, D, D) float64 lower factors.
-        log_modes: (B, K) float64 logarithms of the probabilities of the modes, which sum to 1.
+        log_modes: (B, K) float64 logarithms of the normalised mode probabilities.
     """
 
     belief: Belief
@@ -62,13 +62,13 @@ class MixtureState(NamedTuple):
         return self.status == Status.OK
 
     def mixed(self, beliefs: list[Belief], log_modes: Tensor) -> MixtureState:
-        """Return the state with other beliefs (K of them) and modes (B, K)."""
+        """Return the state with replaced beliefs (K of them) and log probabilities (B, K)."""
         means, chols = (torch.stack(parts, 1) for parts in zip(*beliefs, strict=True))
         moments = mixture_moments(means, chols, log_modes.exp())
         return self._replace(belief=moments, mode_means=means, mode_chols=chols, log_modes=log_modes)
 
     def where(self, condition: Tensor, other: MixtureState) -> MixtureState:
-        """Return the state in which members without the condition, (B,) bool, have another's beliefs."""
+        """Return a state with another's beliefs for members where the condition, (B,) bool, is false."""
         column = condition[:, None, None]
         return self._replace(
             belief=choose(condition, self.belief, other.belief),
@@ -78,7 +78,7 @@ class MixtureState(NamedTuple):
         )
 
     def leading(self, size: int) -> MixtureState:
-        """Return the state of the first components alone."""
+        """Return the state of the leading components."""
         means, chols = self.mode_means[..., :size], self.mode_chols[..., :size, :size]
         return self._replace(belief=leading(self.belief, size), mode_means=means, mode_chols=chols)
 
@@ -87,9 +87,9 @@ def mixture_moments(means: Tensor, chols: Tensor, weights: Tensor) -> Belief:
     """Return the moments of mixtures: sum_k w_k m_k, and sum_k w_k (P_k + (m_k - m)(m_k - m)ᵀ) as a factor.
 
     Args:
-        means: (B, K, D).
+        means: (B, K, D) means m_k.
         chols: (B, K, D, D) lower factors of P_k.
-        weights: (B, K) that sum to 1.
+        weights: (B, K) normalised weights w_k.
     """
     weights = weights.unsqueeze(-1)
     mean = (weights * means).sum(1)
@@ -99,10 +99,10 @@ def mixture_moments(means: Tensor, chols: Tensor, weights: Tensor) -> Belief:
 
 
 class Mixing(NamedTuple):
-    """Where modes come from in a step.
+    """Mode transition probabilities of a step.
 
     Attributes:
-        log_modes: (B, K) probabilities of the modes after it.
+        log_modes: (B, K) log probabilities of the modes after the step.
         origins: (B, K, K) probabilities of mode i before it, given mode j after it, at [:, j, i].
     """
 
@@ -111,15 +111,15 @@ class Mixing(NamedTuple):
 
 
 def mixing(log_modes: Tensor, dwell: Tensor, dt: float) -> Mixing:
-    """Return what a step of a Markov chain does, whose modes last an exponentially distributed time.
+    """Return the mode transitions of a Markov chain with exponentially distributed durations.
 
-    From a mode all others are equally probable. The chain is one in continuous time: two steps of dt / 2 are
-    one of dt, so that intervals between measurements do not matter.
+    Transitions to all other modes are equally probable. The chain is continuous in time: two steps of dt / 2
+    equal one of dt, so that results do not depend on the intervals between measurements.
 
     Args:
-        log_modes: (B, K) before it.
-        dwell: (K,) mean times that modes last.
-        dt: length of the step.
+        log_modes: (B, K) log probabilities before the step.
+        dwell: (K,) mean durations of modes.
+        dt: step length.
     """
     count = len(dwell)
     rates = (1.0 / dwell).unsqueeze(-1) * (torch.ones(count, count).to(dwell) / (count - 1))
@@ -132,6 +132,6 @@ def mixing(log_modes: Tensor, dwell: Tensor, dt: float) -> Mixing:
 
 
 def stacked(belief: Belief, count: int) -> tuple[Tensor, Tensor]:
-    """Return one belief as that of each of K modes, (B, K, D) and (B, K, D, D)."""
+    """Replicate a belief for K modes, (B, K, D) and (B, K, D, D)."""
     mean, chol = belief
     return mean.unsqueeze(1).repeat(1, count, 1), chol.unsqueeze(1).repeat(1, count, 1, 1)

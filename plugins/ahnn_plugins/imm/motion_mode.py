@@ -1,4 +1,4 @@
-"""One mode of a motion: its process noise, and the flow of a known system where that is not the model's."""
+"""Mode of a motion: process noise, and optionally the flow of a known system."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ Deviation = Annotated[float, Within(0)]
 @checked
 @dataclass(frozen=True)
 class MotionMode:
-    """How things move while the mode lasts.
+    """Process model of one mode.
 
     Attributes:
-        factor: on the standard deviations of the process noise that the filter is given.
-        added: standard deviations of further noise for each component of the state, that of one unit of time;
-            it is white, and grows with the root of the time. Components behind have none. None for none.
-        beside: a system whose exact flow moves the state in place of the model.
+        factor: factor on the standard deviations of the filter's process noise.
+        added: standard deviations of additional white noise per state component, per square root of the unit
+            of time. Further components have none. None for no additional noise.
+        beside: system whose exact flow replaces the model.
     """
 
     factor: Deviation = 1.0
@@ -38,21 +38,21 @@ class MotionMode:
 
     @property
     def about(self) -> dict[str, Any]:
-        """Plain values that determine it."""
+        """Plain values that determine the mode."""
         known = self.beside
         system = None if known is None else {"is": type(known).__name__, **known.parameters()}
         return {"factor": self.factor, "added": self.added, "beside": system}
 
     @cached_property
     def own_flow(self) -> Callable[[Flow], Flow]:
-        """What takes the flow of the model and returns that of the mode."""
+        """Function from the model's flow to that of the mode."""
         if self.beside is None:
             return lambda flow: flow
         exact = exact_flow(self.beside)
         return lambda _: exact
 
     def require_size(self, size: int, who: str) -> None:
-        """Refuse states of D components that it does not fit; raises UserError."""
+        """Raise UserError for states of an incompatible size D."""
         if self.added is not None and len(self.added) > size:
             message = f"{who}.added: expected at most {size} deviations; received {len(self.added)}"
             raise UserError(message)
@@ -64,7 +64,7 @@ class MotionMode:
             raise UserError(message)
 
     def noise(self, chol_q: Tensor, dt: float) -> Tensor:
-        """Return the factor (B, D, D) of the process noise of a step, from that which the filter is given."""
+        """Return the factor (B, D, D) of the process noise of a step, from that of the filter."""
         chol = self.factor * chol_q
         if self.added is None:
             return chol

@@ -1,16 +1,16 @@
-"""Bootstrap particle filter (Gordon, Salmond & Smith 1993): the flow moves states, measurements weigh them.
+"""Bootstrap particle filter (Gordon, Salmond & Smith 1993): states are propagated, measurements weight them.
 
-Weights are kept as logarithms. Where the effective sample size falls below a fraction of the particles they
-are resampled (systematically: Kitagawa 1996), and moved by a kernel that keeps mean and covariance (Liu &
-West 2001),
+Weights are stored as logarithms. If the effective sample size falls below a fraction of the particles, they
+are resampled (systematically: Kitagawa 1996), and perturbed by a kernel that preserves mean and covariance
+(Liu & West 2001),
 
     x' = mean + sqrt(1 - h²) (x - mean) + h L z,    L Lᵀ the covariance,
 
-without which copies of one particle would stay together wherever there is no process noise. A measurement
-that is far more precise than its prediction leaves hardly a particle. It is taken in stages (progressive
-correction: Oudjane & Musso 2000): the likelihood to a power that leaves enough effective particles, which are
-resampled and moved, until the powers sum to 1. Or each particle is drawn where an unscented update puts it,
-see `unscented_proposal`.
+without which copies of a particle would stay identical in the absence of process noise. A measurement much
+more precise than its prediction leaves few effective particles. It is processed in stages (progressive
+correction: Oudjane & Musso 2000): the likelihood is raised to a power that leaves enough effective particles,
+which are resampled and perturbed, until the powers sum to 1. Alternatively each particle is drawn from an
+unscented update, see `unscented_proposal`.
 """
 
 from __future__ import annotations
@@ -52,22 +52,22 @@ STAGES = 50
 class ParticleFilter(SampleFilter):
     """Bootstrap particle filter with additive Gaussian noise for a batch of B members, see `SampleFilter`.
 
-    A particle that the flow or the measurement takes where no number is has no weight from there on.
+    A particle with a non-finite state or measurement has zero weight from then on.
 
     Attributes:
-        particles: how many, N.
-        resample_below: fraction of N; at a smaller effective sample size particles are resampled.
-        bandwidth: h of the kernel, less than 1; 0 for none; None takes (4 / ((D + 2) N))^(1 / (D + 4)), the
-            best for Gaussian beliefs (Silverman 1986, section 4.3), and at least 0.6 between two stages.
-            Narrow modes call for less.
-        stages: most stages in which a measurement is taken; 1 weighs at once, as the bootstrap filter does.
-        proposal: `prior` weighs particles where the flow took them; `ukf` moves each to where an unscented
-            update of its kernel puts it, in one stage.
-        seed: of the random numbers.
-        gate: refuses improbable measurement rows; None takes all.
+        particles: number of particles N.
+        resample_below: fraction of N for the effective sample size below which particles are resampled.
+        bandwidth: h of the kernel, less than 1; 0 for none; None for (4 / ((D + 2) N))^(1 / (D + 4)), optimal
+            for Gaussian beliefs (Silverman 1986, section 4.3), and at least 0.6 between two stages. Narrow
+            modes require less.
+        stages: maximum number of stages per measurement; 1 for the bootstrap filter.
+        proposal: `prior` weights propagated particles; `ukf` draws each from an unscented update of its
+            kernel, in one stage.
+        seed: seed of the random numbers.
+        gate: gate for improbable measurement rows, or None.
 
     Raises:
-        UserError: a value beyond its limits.
+        UserError: a value outside its limits.
     """
 
     particles: int = 1000
@@ -79,7 +79,7 @@ class ParticleFilter(SampleFilter):
     proposal: Proposal = "prior"
 
     def __post_init__(self) -> None:
-        """Refuse values beyond their limits."""
+        """Check that values are within their limits."""
         super().__post_init__()
         if not isinstance(self.particles, int) or self.particles < 2:
             message = f"particles: expected a whole number >= 2; received {self.particles!r}"
@@ -106,33 +106,33 @@ class ParticleFilter(SampleFilter):
 
     @property
     def name(self) -> str:
-        """What its rows are called."""
+        """Name in tables."""
         return "particle"
 
     @property
     def count(self) -> int:
-        """N."""
+        """Number of particles N."""
         return self.particles
 
     @property
     def definite(self) -> bool:
-        """A likelihood needs a density."""
+        """True: a likelihood requires definite noise."""
         return True
 
     @property
     def about(self) -> dict[str, Any]:
         """Plain values that determine its estimates."""
         own = {"resample_below": self.resample_below, "bandwidth": self.bandwidth, "stages": self.stages}
-        # States of streams that were saved before there was a choice are of the prior.
+        # States of streams saved before this option was introduced imply the prior.
         return {**super().about, **own, **({} if self.proposal == "prior" else {"proposal": self.proposal})}
 
     def drawn(self, belief: Belief, random: RandomNumbers) -> Tensor:
-        """Return particles (B, N, D) of a Gaussian belief."""
+        """Draw particles (B, N, D) from a Gaussian belief."""
         draw = random.normal(belief.mean, len(belief.mean), self.particles, belief.mean.shape[-1])
         return belief.mean.unsqueeze(1) + draw @ belief.chol.mT
 
     def noise(self, draw: Tensor, points: Tensor) -> Tensor:
-        """Return the numbers as they are."""
+        """Return the numbers unchanged."""
         del points
         return draw
 
@@ -141,7 +141,7 @@ class ParticleFilter(SampleFilter):
         return sample_moments(points, log_weights)
 
     def followed(self, state: SampleState, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the particles after the flow; one that it took where no number is counts no more."""
+        """Return the particles after the flow; non-finite ones get zero weight."""
         finite = images.isfinite().all(-1)
         if bool(finite.all()):
             return images, state.log_weights
@@ -151,7 +151,7 @@ class ParticleFilter(SampleFilter):
     def conditioned(
         self, state: SampleState, images: Tensor, y: Tensor, sensor: SensorModel
     ) -> tuple[SampleState, Updated]:
-        """Return the particles of a state given a row, and the update."""
+        """Condition the particles on a row; return the state and the update."""
         finite = images.isfinite().all(-1)
         state = state._replace(log_weights=state.log_weights.masked_fill(~finite, -torch.inf))
         best = state.log_weights.argmax(-1)[:, None, None].expand(-1, 1, images.shape[-1])
@@ -167,12 +167,12 @@ class ParticleFilter(SampleFilter):
         return after, _told(after.belief, weights.sqrt() * deviations, noise, innovation, log_likelihood)
 
     def weighed(self, state: SampleState, images: Tensor, row: WeighingRow) -> tuple[SampleState, Tensor]:
-        """Return the particles of a state given a row, in as many stages as it takes, and its log density.
+        """Weight particles by a row, in as many stages as needed; return the state and the log density.
 
         Args:
-            state: before, weights zero of particles without an image.
-            images: (B, N, M) of its particles.
-            row: with its noise.
+            state: state before the row, with zero weights for particles without an image.
+            images: (B, N, M) images of its particles.
+            row: row with its noise.
         """
         least = self.resample_below * self.particles
         each = max(least, STAGE_SIZE * self.particles)
@@ -202,11 +202,11 @@ class ParticleFilter(SampleFilter):
         return state, total
 
     def moved(self, state: SampleState, row: WeighingRow) -> tuple[SampleState, Tensor]:
-        """Return the particles of a state drawn where a row puts their kernels, and its log density.
+        """Draw particles from kernels updated by a row; return the state and the log density.
 
         Args:
-            state: before, weights zero of particles without an image.
-            row: with its noise.
+            state: state before the row, with zero weights for particles without an image.
+            row: row with its noise.
         """
         weights = normalised(state.log_weights)
         belief, points = self.moments(state.points, weights), state.points
@@ -220,17 +220,17 @@ class ParticleFilter(SampleFilter):
         belief = self.moments(found.points, weighed)
         state = state._replace(points=found.points, log_weights=weighed, belief=belief)
         few = effective_size(weighed) < self.resample_below * self.particles
-        # The kernels of the next update part what is drawn twice.
+        # The kernels of the next update separate duplicate draws.
         return (self.resampled(state, few, torch.zeros_like(total), 0) if bool(few.any()) else state), total
 
     def resampled(self, state: SampleState, few: Tensor, h: Tensor, stage: int) -> SampleState:
-        """Return the state in which some members are resampled and moved; its moments stay.
+        """Resample and perturb some members, preserving the moments.
 
         Args:
-            state: whose moments are those of its weights.
-            few: (B,) bool, which members.
+            state: state with moments consistent with its weights.
+            few: (B,) bool, members to resample.
             h: (B,) bandwidths.
-            stage: of the update.
+            stage: stage of the update.
         """
         points, belief, random = state.points, state.belief, state.random
         offset = random.uniform(points, len(points), stage=stage)
@@ -244,7 +244,7 @@ class ParticleFilter(SampleFilter):
         return state.where(~few, state._replace(points=drawn, log_weights=weights))
 
     def kernel_bandwidth(self, size: int, further: Tensor) -> Tensor:
-        """Return h, (B,), for states of D components; `further` says for which members stages follow."""
+        """Return h, (B,), for states of D components; `further` marks members with further stages."""
         if self.bandwidth is not None:
             return torch.where(further, self.bandwidth, self.bandwidth).double()
         best = (4.0 / ((size + 2) * self.particles)) ** (1.0 / (size + 4))
@@ -252,14 +252,14 @@ class ParticleFilter(SampleFilter):
 
 
 def _told(belief: Belief, rows: Tensor, noise: Tensor, innovation: Tensor, log_likelihood: Tensor) -> Updated:
-    """Return the update: innovation and its covariance by the moments of the prediction, the rest as it is.
+    """Build the update, with innovation statistics from the moments of the prediction.
 
     Args:
-        belief: after it.
+        belief: belief after the update.
         rows: (B, N, M) weighted deviations of the measured particles.
         noise: (B, 2 M, M) rows of R.
         innovation: (B, M).
-        log_likelihood: (B,) of the row, -inf where no particle explains it.
+        log_likelihood: (B,) log-likelihood of the row, -inf if no particle explains it.
     """
     chol_y = tria(torch.cat((rows, noise), dim=1))
     white = torch.linalg.solve_triangular(chol_y, innovation.unsqueeze(-1), upper=False)

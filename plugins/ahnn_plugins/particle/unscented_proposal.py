@@ -1,15 +1,15 @@
-"""Particles drawn where a measurement puts them: an unscented update of each, and weights that correct it.
+"""Unscented proposal of particles: an unscented update of each, with correcting weights.
 
-The prediction is taken as a mixture of kernels about its particles, those that move them after resampling.
-Each kernel N(c_i, C Cᵀ) is updated by the measurement with 2 D cubature points, and a particle is drawn from
-the result q_i (van der Merwe, Doucet, de Freitas & Wan 2000 do so with the process noise of a step in place
-of the kernel, which leaves nothing to draw where there is none). Its weight,
+The prediction is represented by a mixture of kernels about its particles, as used after resampling. Each
+kernel N(c_i, C Cᵀ) is updated by the measurement with 2 D cubature points, and a particle is drawn from the
+result q_i (van der Merwe, Doucet, de Freitas & Wan 2000 use the process noise of a step instead of the
+kernel, which fails without process noise). Its weight,
 
     w_i p(y | x) N(x; c_i, C Cᵀ) / q_i(x),
 
-makes the draw one of the exact posterior of the mixture, however bad the linearisation is. Where the
-measurement is linear it is w_i N(y; H c_i, H C Cᵀ Hᵀ + R): a sensor that is more precise than a kernel is
-wide leaves no fewer particles than one of that width.
+makes the draws exact for the posterior of the mixture, for any quality of the linearisation. For linear
+measurements it is w_i N(y; H c_i, H C Cᵀ Hᵀ + R): a sensor more precise than the kernel width leaves as many
+effective particles as one of that width.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from ahnn_plugins.particle.weighing import WeighingRow
 
 
 class Proposed(NamedTuple):
-    """Particles (B, N, D), and logarithms of their weights (B, N), which sum to the density of the row."""
+    """Particles (B, N, D), and log weights (B, N), whose exponentials sum to the density of the row."""
 
     points: Tensor
     log_weights: Tensor
@@ -38,15 +38,15 @@ class Proposed(NamedTuple):
 def unscented_proposal(
     chol: Tensor, centres: Tensor, log_weights: Tensor, row: WeighingRow, z: Tensor, time: float
 ) -> Proposed:
-    """Return particles drawn from the updated kernels.
+    """Draw particles from the updated kernels.
 
     Args:
-        chol: (B, D, D) factor C, which all kernels of a member share.
-        centres: (B, N, D).
-        log_weights: (B, N) of the kernels, normalised.
-        row: a measurement.
+        chol: (B, D, D) factor C, common to all kernels of a member.
+        centres: (B, N, D) kernel centres.
+        log_weights: (B, N) normalised log weights of the kernels.
+        row: measurement row.
         z: (B, N, D) standard normal numbers.
-        time: of the row.
+        time: time of the row.
     """
     batch, count, size = centres.shape
     spread = size**0.5 * chol.mT

@@ -1,4 +1,4 @@
-"""How a measurement weighs particles: at once, or in stages that leave enough of them."""
+"""Weighting of particles by a measurement, at once or in stages that keep enough effective particles."""
 
 from __future__ import annotations
 
@@ -14,23 +14,25 @@ from ahnn.estimation.samples import effective_size, normalised
 from ahnn.measurements import residual
 
 HALVINGS, LEAST = 16, 1e-12
-"""Steps of the search for an exponent, and the smallest that it tries, as a fraction of the largest."""
+"""Number of bisection steps for an exponent, and smallest exponent relative to the largest."""
 STAGE_SIZE, STAGE_BANDWIDTH = 0.8, 0.6
-"""Effective fraction of the particles that a stage leaves, and bandwidth of the kernel that moves them then.
+"""Effective fraction of particles left by a stage, and kernel bandwidth between stages.
 
-Particles must reach where none of them was. Of 1,000 of N(0, 1), measured 10 standard deviations off with the
-noise of one, the mean ends 0.6 of its standard deviations away; with 0.5 and Silverman's bandwidth, 3.9.
+Particles must reach previously unoccupied regions. For 1,000 particles of N(0, 1) and a measurement 10
+standard
+deviations away with unit noise, the mean ends 0.6 standard deviations off; with 0.5 and Silverman's
+bandwidth, 3.9.
 """
 LOG_TWO_PI = math.log(2.0 * math.pi)
 
 
 class WeighingRow(NamedTuple):
-    """A measurement row and its noise.
+    """Measurement row with its noise.
 
     Attributes:
         y: (B, M), NaN where a component is missing.
-        sensor: its model.
-        chol_r: (B, M, M) factor of R, ones in place of what is missing.
+        sensor: measurement model.
+        chol_r: (B, M, M) factor of R, ones for missing components.
     """
 
     y: Tensor
@@ -39,14 +41,14 @@ class WeighingRow(NamedTuple):
 
     @classmethod
     def of(cls, y: Tensor, sensor: SensorModel, noise: Tensor) -> WeighingRow:
-        """Return a row with the noise of rows (B, 2 M, M), see `present_noise`."""
+        """Build a row with the noise of rows (B, 2 M, M), see `present_noise`."""
         return cls(y, sensor, tria(noise))
 
     def log_density(self, images: Tensor) -> Tensor:
-        """Return the log densities (B, N) given particles with images (B, N, M); -inf of no number."""
+        """Return the log densities (B, N) given particles with images (B, N, M); -inf for non-finite ones."""
         y, present = self.y.unsqueeze(1), ~torch.isnan(self.y)
         finite = images.isfinite().all(-1)
-        # What is missing is filled in: a residual may mix components.
+        # Missing components are filled in, since a residual may mix components.
         filled = torch.where(present.unsqueeze(1), y, images)
         off = torch.where(present.unsqueeze(1), residual(self.sensor.measurement, filled, images), 0.0)
         white = torch.linalg.solve_triangular(self.chol_r, off.mT, upper=False)
@@ -56,17 +58,17 @@ class WeighingRow(NamedTuple):
 
 
 def exponent(log_weights: Tensor, densities: Tensor, most: Tensor, last: float, each: float) -> Tensor:
-    """Return the largest exponents (B,) of the densities that leave enough effective particles.
+    """Return the largest exponents (B,) of the densities that keep enough effective particles.
 
-    By bisection on the logarithm (Oudjane & Musso 2000, section 4, with the effective sample size for the
-    ratio of the weights).
+    By bisection on the logarithm (Oudjane & Musso 2000, section 4, with the effective sample size instead of
+    the ratio of weights).
 
     Args:
-        log_weights: (B, N), normalised.
-        densities: (B, N) logarithms.
+        log_weights: (B, N) normalised log weights.
+        densities: (B, N) log densities.
         most: (B,) largest exponents, > 0.
-        last: effective sample size that is enough where that is the largest exponent.
-        each: the one that is enough else.
+        last: sufficient effective sample size at the largest exponent.
+        each: sufficient effective sample size otherwise.
     """
 
     def size(power: Tensor, rows: Tensor) -> Tensor:

@@ -1,7 +1,7 @@
 """Predicted Final Loss (PFL) pruner: stop a run whose extrapolated loss cannot compete.
 
-`predictor` forecasts a curve, `decision` is the rule, `pruner` applies it to an Optuna study, `record` to
-the jobs of a plain grid, and `callback` brings it into a Lightning run; `log` writes and replays the
+`predictor` forecasts a curve, `decision` is the rule, `pruner` applies it to an Optuna study, `record` to the
+jobs of a plain grid, and `callback` integrates it into a Lightning run; `log` writes and replays the
 decisions.
 """
 

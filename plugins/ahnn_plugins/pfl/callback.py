@@ -1,4 +1,4 @@
-"""The pruner in a Lightning run: report each validation loss, ask, log the decision, stop.
+"""Lightning callback of the pruner: reports validation losses, logs decisions and stops the run.
 
 With an Optuna trial the reference is the study and a stop raises `optuna.TrialPruned`. Without one (a plain
 grid multirun) the reference is a record in the sweep folder and a stop ends the fit as early stopping does,
@@ -27,21 +27,21 @@ logger = logging.getLogger(__name__)
 
 
 class PFLCallback(L.Callback):
-    """Stop a run whose Predicted Final Loss is worse than the best complete runs ended with.
+    """Stop a run whose Predicted Final Loss is worse than the final losses of the best complete runs.
 
     Each `fit` within one trial is the next seed of that trial. `fit`, `use`, `fit_epochs`, `target_epoch` and
     `top_k` are described in `Settings`.
 
     Args:
         run_dir: folder of the run; decisions go to its `pfl.jsonl`.
-        monitor: logged value that is reported after each validation epoch.
-        trial: the `optuna.Trial` that this run belongs to, in a configuration the node that makes it.
-        record: file of final losses for runs without a trial; unused where its folder does not exist (a
-            single run has no sweep folder).
+        monitor: name of the metric reported after each validation epoch.
+        trial: the `optuna.Trial` that this run belongs to, or its node in a configuration.
+        record: file of final losses for runs without a trial; unused if its folder does not exist (a single
+            run has no sweep folder).
         group: runs of different groups are never compared in the record.
 
     Raises:
-        UserError: if the settings make no sense.
+        UserError: invalid settings.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class PFLCallback(L.Callback):
         self._max_epochs = 0
 
     def check(self, trainer: L.Trainer) -> None:
-        """Check before a training that the monitored value will be there; raises UserError."""
+        """Check before training that the monitored metric will be available; raises UserError."""
         require_monitored("callbacks.pfl.monitor", self.monitor, trainer)
 
     def on_fit_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:  # noqa: ARG002
@@ -86,7 +86,7 @@ class PFLCallback(L.Callback):
         self._log = DecisionLog(self.run_dir / "pfl.jsonl", self.settings) if trainer.is_global_zero else None
 
     def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:  # noqa: ARG002
-        """Report the loss, decide and, if so decided, stop the run.
+        """Report the loss, decide and possibly stop the run.
 
         Raises:
             optuna.TrialPruned: if the run belongs to a trial and the decision is to stop.
@@ -118,7 +118,7 @@ class PFLCallback(L.Callback):
         return {"losses": list(self._losses)}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Take the losses of an interrupted run into the next fit."""
+        """Restore the losses of an interrupted run for the next fit."""
         self._restored = list(state_dict["losses"])
 
     def _judge(self, loss: float, epoch: int) -> bool:
@@ -153,5 +153,5 @@ class PFLCallback(L.Callback):
 
 
 def _frozen(trial: optuna.Trial) -> optuna.trial.FrozenTrial:
-    """Return what the storage holds of the trial at this moment."""
+    """Return the current content of the trial in the storage."""
     return next(t for t in trial.study.get_trials(deepcopy=False) if t.number == trial.number)

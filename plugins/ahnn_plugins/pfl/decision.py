@@ -1,4 +1,4 @@
-"""The rule of the Predicted Final Loss pruner: one pure function from numbers to a decision."""
+"""Decision rule of the Predicted Final Loss pruner, as a pure function."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from ahnn_plugins.pfl.predictor import FITS, FitName, Forecast
 
 
 class Settings(NamedTuple):
-    """What the rule depends on besides the losses; the defaults are the paper's.
+    """Settings of the rule; the defaults are the paper's.
 
     Attributes:
         fit: name of the fit, a key of `FITS`.
         use: `first` fits the first `fit_epochs` losses (paper), `all` every loss so far (the author's code).
-        fit_epochs: losses that a series must have before it is judged.
+        fit_epochs: minimum number of losses for a decision.
         target_epoch: epoch of the forecast.
-        top_k: number of best complete models that set the threshold; fewer of them prune nothing.
+        top_k: number of best complete models that set the threshold; with fewer there is no pruning.
     """
 
     fit: FitName = "log_linear"
@@ -30,11 +30,11 @@ class Settings(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """What was decided and why.
+    """Decision with its reason.
 
     Attributes:
         prune: whether to stop.
-        forecast: mean forecast over the seeds, or None where there is none.
+        forecast: mean forecast over the seeds, or None.
         threshold: worst final loss of the best `top_k` complete models, or None below `top_k` models.
         reason: `non-finite loss`, `warm-up`, `past target`, `too few models`, `no forecast`,
             `forecast above threshold` or `forecast within threshold`.
@@ -55,7 +55,7 @@ def decide(own: Sequence[Sequence[float]], finals: Sequence[float], settings: Se
         settings: see `Settings`.
 
     Returns:
-        The decision; it depends on the arguments alone.
+        The decision; a function of the arguments only.
     """
     reference = best_finals(finals, settings.top_k)
     threshold = reference[-1] if len(reference) == settings.top_k else None
@@ -76,15 +76,15 @@ def decide(own: Sequence[Sequence[float]], finals: Sequence[float], settings: Se
 
 
 def best_finals(finals: Sequence[float], top_k: int) -> list[float]:
-    """Return the `top_k` smallest finite final losses, in rising order; a rule never needs more of them."""
+    """Return the `top_k` smallest finite final losses, in increasing order, as required by the rule."""
     return sorted(loss for loss in finals if math.isfinite(loss))[:top_k]
 
 
 def checked(settings: Settings) -> Settings:
-    """Return the settings if they make sense.
+    """Validate and return the settings.
 
     Raises:
-        UserError: for an unknown fit or use, or counts that leave nothing to fit or to forecast.
+        UserError: unknown fit or use, or counts that leave nothing to fit or to forecast.
     """
     check_values("", Settings, settings._asdict())
     if settings.fit_epochs > settings.target_epoch:
@@ -97,7 +97,7 @@ def checked(settings: Settings) -> Settings:
 
 
 def _mean_forecast(own: Sequence[Sequence[float]], settings: Settings) -> Forecast:
-    """Return the mean over the seeds of their forecasts, or None where one of them has none."""
+    """Return the mean over the seeds of their forecasts, or None if one of them is missing."""
     fit = FITS[settings.fit]
     forecasts = []
     for series in own:

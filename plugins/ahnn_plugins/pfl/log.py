@@ -1,8 +1,8 @@
 """Log of every decision with its numbers, one JSON line each, and its replay.
 
-The first line of a fit holds the settings; each further line holds one epoch: its loss, the reference losses
-that were known at that moment (never more than `top_k`) and the decision. Non-finite numbers are strings, so
-that each line is strict JSON.
+The first line of a fit contains the settings; each further line one epoch: its loss, the reference losses
+known at that moment (never more than `top_k`) and the decision. Non-finite numbers are strings, so that each
+line is strict JSON.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ahnn_plugins.pfl.decision import Decision, Settings, best_finals, decide
 
 
 class Replayed(NamedTuple):
-    """A logged decision beside the one that its numbers lead to now."""
+    """Logged decision and the decision recomputed from its numbers."""
 
     seed_index: int
     epoch: int
@@ -28,8 +28,8 @@ class DecisionLog:
     """Append decisions to a file; the settings are written before the first one.
 
     Args:
-        path: the file; its folder is made.
-        settings: what the decisions depend on.
+        path: path of the file; its folder is created.
+        settings: settings of the decisions.
     """
 
     def __init__(self, path: Path, settings: Settings) -> None:
@@ -58,7 +58,7 @@ class DecisionLog:
 
 
 def replay(path: Path) -> list[Replayed]:
-    """Decide again from the numbers in a log.
+    """Recompute decisions from the numbers in a log.
 
     Args:
         path: a `pfl.jsonl` that the callback wrote.

@@ -12,23 +12,23 @@ from types import MappingProxyType
 from typing import Literal
 
 Forecast = float | None
-"""A finite loss, or None where the curve allows no forecast."""
+"""Finite forecast, or None if the curve allows none."""
 
 _POWER_FLOOR = 1e-10  # losses are clipped here before the logarithm of the power law, as in the author's code
-_LARGEST = 1e300  # a forecast is cut here, so that means of forecasts stay finite
+_LARGEST = 1e300  # forecasts are clipped here, so that means of forecasts stay finite
 
 
 def log_linear(losses: Sequence[float], target_epoch: int) -> Forecast:
     """Forecast with A e^{Kt}: least squares of ln(loss) on the epoch.
 
-    The paper's fit. It has no floor, so that a curve that flattens out is forecast far too low.
+    The paper's fit. It has no asymptote, so that forecasts of flattening curves are far too low.
 
     Args:
         losses: at least two positive, finite losses, one per epoch.
         target_epoch: zero-based epoch of the forecast.
 
     Returns:
-        The forecast, or None where a loss has no logarithm or there are fewer than two.
+        The forecast, or None if a loss has no logarithm or there are fewer than two.
     """
     if len(losses) < 2 or not all(math.isfinite(y) and y > 0 for y in losses):
         return None
@@ -46,7 +46,7 @@ def power_law(losses: Sequence[float], target_epoch: int) -> Forecast:
         target_epoch: x of the forecast.
 
     Returns:
-        The forecast, or None where a loss is not finite or there are fewer than three.
+        The forecast, or None if a loss is not finite or there are fewer than three.
     """
     if len(losses) < 3 or not all(math.isfinite(y) for y in losses):
         return None
@@ -58,7 +58,7 @@ def power_law(losses: Sequence[float], target_epoch: int) -> Forecast:
 def shifted_exponential(losses: Sequence[float], target_epoch: int) -> Forecast:
     """Forecast with a e^{-bt} + c through three points of the smoothed curve.
 
-    The points are a third, two thirds and the end of the curve. Where the two drops between them do not
+    The points are a third, two thirds and the end of the curve. If the two decreases between them do not
     shrink, the last slope is continued at half its size. Source: the author's template of 3 Apr 2026.
 
     Args:
@@ -66,7 +66,7 @@ def shifted_exponential(losses: Sequence[float], target_epoch: int) -> Forecast:
         target_epoch: zero-based epoch of the forecast.
 
     Returns:
-        The forecast, or None where a loss is not finite or there are fewer than four.
+        The forecast, or None if a loss is not finite or there are fewer than four.
     """
     count = len(losses)
     if count < 4 or not all(math.isfinite(y) for y in losses):
@@ -78,10 +78,10 @@ def shifted_exponential(losses: Sequence[float], target_epoch: int) -> Forecast:
     if not 0 < ratio < 1:
         return _finite(smooth[k] - 0.5 * second / (k - j) * (target_epoch - k))
     rate = -math.log(ratio) / (j - i)
-    amplitude = first / -math.expm1(-rate * (j - i))  # of the drop that follows point i
+    amplitude = first / -math.expm1(-rate * (j - i))  # fraction of the decrease that follows point i
     try:
         change = math.exp(-rate * (j - i)) * math.expm1(-rate * (target_epoch - j))
-    except OverflowError:  # a target before the points of a steep curve
+    except OverflowError:  # target before the points of a steep curve
         return None
     return _finite(smooth[j] + amplitude * change)
 
@@ -90,7 +90,7 @@ FitName = Literal["log_linear", "power_law", "shifted"]
 FITS: Mapping[FitName, Callable[[Sequence[float], int], Forecast]] = MappingProxyType(
     {"log_linear": log_linear, "power_law": power_law, "shifted": shifted_exponential}
 )
-"""The fits by the name that a configuration gives."""
+"""Fits by their name in a configuration."""
 
 
 def _line(x: Sequence[float], y: Sequence[float]) -> tuple[float, float]:
@@ -111,10 +111,10 @@ def _smoothed(losses: Sequence[float], span: int) -> list[float]:
 
 
 def _exp(exponent: float) -> float:
-    """Return e^exponent, cut where it would overflow: the forecast of an explosion stays comparable."""
+    """Return e^exponent, clipped to avoid overflow, so that diverging forecasts stay comparable."""
     return math.exp(exponent) if exponent < math.log(_LARGEST) else _LARGEST
 
 
 def _finite(value: float) -> Forecast:
-    """Return the value, or None where arithmetic on huge losses left the range of floats."""
+    """Return the value, or None on floating-point overflow."""
     return value if math.isfinite(value) else None

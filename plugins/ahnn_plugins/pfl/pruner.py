@@ -1,7 +1,7 @@
-"""The pruner as Optuna sees it: without state, everything is read from the study.
+"""Stateless Optuna pruner, which reads everything from the study.
 
-Hence it survives a restart and works over many processes and machines. Several seeds of a trial are told
-apart by the step: step = seed_index * max_epochs + epoch.
+It therefore survives restarts and works with many processes and machines. Seeds of a trial are distinguished
+by the step: step = seed_index * max_epochs + epoch.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from ahnn_plugins.pfl.predictor import FitName
 class PFLPruner(BasePruner):
     """Stop a trial whose forecast is worse than the worst final loss of the best complete trials.
 
-    PRUNED and FAIL trials are no reference. See `Settings` for the arguments that are not listed.
+    PRUNED and FAIL trials are ignored as references. See `Settings` for the arguments that are not listed.
 
     Args:
         max_epochs: epochs of one seed, the stride between the series of two seeds.
 
     Raises:
-        UserError: if the settings make no sense.
+        UserError: invalid settings.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class PFLPruner(BasePruner):
         self.settings = checked(Settings(fit, use, fit_epochs, target_epoch, top_k))
 
     def prune(self, study: Study, trial: FrozenTrial) -> bool:
-        """Return whether Optuna should prune the trial."""
+        """Return whether to prune the trial."""
         return self.decide(study, trial).prune
 
     def decide(self, study: Study, trial: FrozenTrial) -> Decision:
@@ -63,7 +63,7 @@ class PFLPruner(BasePruner):
 
 
 def seed_series(intermediate: Mapping[int, float], max_epochs: int) -> dict[int, list[float]]:
-    """Return the losses of each seed in the order of their epochs, keyed by the index of the seed."""
+    """Return the losses of each seed in order of epochs, keyed by the index of the seed."""
     series: dict[int, list[float]] = {}
     for step in sorted(intermediate):
         series.setdefault(step // max_epochs, []).append(intermediate[step])

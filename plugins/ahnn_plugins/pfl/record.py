@@ -1,7 +1,7 @@
 """Record of final losses for a plain grid multirun: a file of JSON lines in the sweep folder.
 
-Jobs that end at the same moment append under a lock. A line that a killed job left unfinished is skipped and
-never glued to the next one.
+Jobs that end at the same moment append under a lock. An incomplete line of a killed job is skipped and never
+joined with the next one.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ class Record:
     """Final losses of the complete runs of one group.
 
     Args:
-        path: the file; its folder must exist.
-        group: runs of different groups (another system, say) are never compared.
+        path: path of the file; its folder must exist.
+        group: runs of different groups (for example systems) are never compared.
     """
 
     def __init__(self, path: Path, group: str) -> None:
@@ -37,7 +37,7 @@ class Record:
         return [float(row["loss"]) for row in rows if row["group"] == self.group]
 
     def append(self, run: str, loss: float) -> None:
-        """Add the final loss of a complete run; one that is not finite is no reference and is left out."""
+        """Add the final loss of a complete run; non-finite losses are skipped."""
         if not math.isfinite(loss):
             return
         line = json.dumps({"group": self.group, "run": run, "loss": loss}).encode() + b"\n"
@@ -53,7 +53,7 @@ def _ends_a_line(descriptor: int) -> bool:
 
 
 def _parsed(line: bytes) -> dict[str, Any] | None:
-    """Return the row of a line, or None for what a killed job left unfinished."""
+    """Return the row of a line, or None for an incomplete line of a killed job."""
     try:
         row = json.loads(line)
     except ValueError:

@@ -1,4 +1,4 @@
-"""A report of one run or of many: tables, figures and claims in one HTML file that needs no network."""
+"""Report of one or many runs: tables, figures and claims in one offline HTML file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page of the paper's claims: each with its verdict, the numbers and their confidence."""
+"""Page of the paper's claims: verdicts, numbers and confidence."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SIGNS: dict[Answer, str] = {"holds": "✓", "does not hold": "✗", "undecided":
 
 
 def verdicts(collection: Collection, confidence: float) -> list[Verdict]:
-    """Return the verdicts on the claims about systems of the paper that are there."""
+    """Return the verdicts on the paper's claims for the available systems."""
     boards = {system: board(collection, system) for system in collection.systems()}
     there = {system: each for system, each in boards.items() if is_of_paper(each)}
     return [_judged(claim, there[claim.system], confidence) for claim in CLAIMS if claim.system in there]
@@ -34,20 +34,20 @@ def _judged(claim, scores: Board, confidence: float) -> Verdict:
 
 
 def tally(found: list[Verdict]) -> Markup:
-    """Return how many claims have each verdict."""
+    """Return the number of claims by verdict."""
     counts = Counter(verdict.answer for verdict in found)
     items = [tag("li", badge(answer), f" {counts[answer]}") for answer in SIGNS if counts[answer]]
     return tag("ul", items, class_="tally")
 
 
 def badge(answer: Answer) -> Markup:
-    """Return a verdict as a word with a sign, so that colour alone says nothing."""
+    """Return a verdict as a word with a sign, so that it does not depend on colour alone."""
     sign = tag("span", SIGNS[answer], aria_hidden="true")
     return tag("span", sign, " ", answer, class_=f"badge {answer.replace(' ', '-')}")
 
 
 def claims_table(system: str, found: list[Verdict], confidence: float) -> Grid:
-    """Return the claims about a system with their verdicts, one a line."""
+    """Return the claims about a system with their verdicts, one per line."""
     lines = [
         Line(verdict.claim.text, (Cell(verdict.answer, "words"), *_ratios(verdict.evidence)))
         for verdict in found

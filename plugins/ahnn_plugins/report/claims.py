@@ -1,7 +1,7 @@
-"""What the paper claims of its numbers, in our words, as data: ratios of scores and where they should lie.
+"""The paper's claims as data, paraphrased: ratios of scores and their intervals.
 
 `An order of magnitude` is a factor that rounds to ten in powers of ten, at least sqrt(10), and `two orders`
-one that rounds to a hundred: the paper's own numbers need that reading. `Comparable` is a factor of two.
+one that rounds to a hundred: as required by the paper's own numbers. `Comparable` is a factor of two.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def below(
     filtered: bool = False,
     orders: int = 0,
 ) -> tuple[Demand, ...]:
-    """Return that one model's errors are below another's, by so many orders of magnitude."""
+    """Build the demand that one model's errors are below another's by orders of magnitude."""
     high = 10 ** (0.5 - orders) if orders else 1.0
     pairs = product(quantities, starts)
     return tuple(
@@ -41,19 +41,19 @@ def below(
 
 
 def alike(one: str, other: str, quantities: Iterable[str] = STATE) -> tuple[Demand, ...]:
-    """Return that the errors of two models are comparable, from the true start without the filter."""
+    """Build the demand that the errors of two models are comparable, from the true start without filter."""
     return tuple(Demand(Measure(one, q), Measure(other, q), 1 / ALIKE, ALIKE) for q in quantities)
 
 
 def best(model: str, starts: Iterable[Start], *, filtered: bool) -> tuple[Demand, ...]:
-    """Return that a model is better than each of the others."""
+    """Build the demands that a model is better than each of the others."""
     starts = tuple(starts)
     others = (other for other in MODELS if other != model)
     return tuple(d for other in others for d in below(model, other, STATE, starts, filtered=filtered))
 
 
 def improved(model: str, orders: int = 0) -> tuple[Demand, ...]:
-    """Return that the filter improves a model from both starts."""
+    """Build the demands that the filter improves a model from both starts."""
     high = 10 ** (0.5 - orders) if orders else 1.0
     return tuple(
         Demand(Measure(model, q, s, True), Measure(model, q, s), 0.0, high) for s, q in product(STARTS, STATE)
@@ -61,7 +61,7 @@ def improved(model: str, orders: int = 0) -> tuple[Demand, ...]:
 
 
 def joined(*parts: tuple[Demand, ...]) -> tuple[Demand, ...]:
-    """Return the demands of several parts."""
+    """Concatenate the demands of several parts."""
     return tuple(demand for part in parts for demand in part)
 
 

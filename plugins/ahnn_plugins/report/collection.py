@@ -1,4 +1,4 @@
-"""The runs of a report: their results, and their arrays where a figure asks for them."""
+"""Runs of a report: results, and arrays on demand."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ PAPER = ("mass_spring", "molniya")
 
 
 class Entry(NamedTuple):
-    """A run, or one evaluation of it.
+    """Run, or one of its evaluations.
 
     Attributes:
-        folder: with metrics.json, and where predictions were kept, predictions.safetensors.
-        results: what metrics.json says.
+        folder: folder with metrics.json and, if predictions were kept, predictions.safetensors.
+        results: content of metrics.json.
     """
 
     folder: Path
@@ -43,12 +43,12 @@ class Entry(NamedTuple):
 
     @property
     def seed(self) -> int | None:
-        """Seed of the training, where it is known."""
+        """Seed of the training, if known."""
         seed = self.results.training.get("seed")
         return seed if isinstance(seed, int) else None
 
     def array(self, key: str) -> Tensor | None:
-        """Return an array of the evaluation, such as `truth`, (B, T, D); None where it was not kept.
+        """Return an array of the evaluation, such as `truth`, (B, T, D); None if it was not kept.
 
         Raises:
             UserError: the file is damaged.
@@ -66,23 +66,23 @@ class Entry(NamedTuple):
 
 
 class Collection(NamedTuple):
-    """All runs of a report, in the order of their folders.
+    """All runs of a report, ordered by folder.
 
     Attributes:
-        entries: what was evaluated.
-        unfinished: run folders that hold a configuration and no results.
+        entries: evaluated runs.
+        unfinished: run folders with a configuration but no results.
     """
 
     entries: tuple[Entry, ...]
     unfinished: tuple[Path, ...] = ()
 
     def systems(self) -> list[str]:
-        """Return the names of the systems, each once, those of the paper first."""
+        """Return the names of the systems, without duplicates, those of the paper first."""
         names = dict.fromkeys(entry.system for entry in self.entries)
         return sorted(names, key=lambda name: PAPER.index(name) if name in PAPER else len(PAPER))
 
     def models(self, system: str) -> list[str]:
-        """Return the names of the models of a system, each once."""
+        """Return the names of the models of a system, without duplicates."""
         return list(dict.fromkeys(entry.model for entry in self.of(system)))
 
     def of(self, system: str, model: str | None = None) -> list[Entry]:
@@ -91,12 +91,12 @@ class Collection(NamedTuple):
 
 
 def collect(folders: Iterable[Path]) -> Collection:
-    """Return the runs in folders: each is a run, or holds runs at any depth.
+    """Collect the runs in folders, each a run or a parent of runs at any depth.
 
-    Later evaluations of a run in the same collection are left out: its seed would count twice.
+    Later evaluations of a run in the same collection are omitted, since its seed would count twice.
 
     Raises:
-        UserError: a folder holds none, or one of them is damaged.
+        UserError: a folder contains no runs, or a damaged one.
     """
     found: dict[Path, Path] = {}
     unfinished: dict[Path, Path] = {}
@@ -116,7 +116,7 @@ def collect(folders: Iterable[Path]) -> Collection:
 
 
 def runs_below(folder: Path) -> list[Path]:
-    """Return the folders with results below one; of a run and its later evaluations, the run."""
+    """Return the folders with results below one; without later evaluations of a run."""
     found = sorted(path.parent for path in folder.rglob(FILE))
     later = {each for each in found if each.parent.name == EVALUATIONS and each.parent.parent in found}
     return [each for each in found if each not in later]

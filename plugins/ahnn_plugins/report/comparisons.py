@@ -1,4 +1,4 @@
-"""The order of the models and of the windows, with the spread over seeds that decides it."""
+"""Ranking of models and of windows, with significance from the spread over seeds."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ COLUMNS = [
     Measure("", quantity, start, with_filter)
     for with_filter, start, quantity in product((False, True), STARTS[:2], QUANTITIES[:2])
 ]
-"""Of the ablation; the model is that of each row."""
+"""Columns of the ablation; the model is that of each row."""
 
 
 class Order(NamedTuple):
@@ -28,7 +28,7 @@ class Order(NamedTuple):
 
     Attributes:
         models: in the order of the geometric means over seeds.
-        decided: whether each is below the next one by more than chance.
+        decided: whether each is significantly below the next one.
     """
 
     models: tuple[str, ...]
@@ -40,7 +40,7 @@ class Order(NamedTuple):
 
 
 def ordered(samples: dict[str, Sample], confidence: float) -> Order:
-    """Return the order of samples that have values, undefined ones last."""
+    """Rank samples with values, undefined ones last."""
     there = {model: sample for model, sample in samples.items() if sample.values}
     models = sorted(there, key=lambda m: math.inf if math.isnan(there[m].typical) else there[m].typical)
     decided = [ratio(there[a], there[b], confidence).high < 1 for a, b in pairwise(models)]
@@ -50,7 +50,7 @@ def ordered(samples: dict[str, Sample], confidence: float) -> Order:
 def agreement(
     samples: dict[str, Sample], printed: dict[str, float], confidence: float
 ) -> tuple[int, int, int]:
-    """Return how many pairs are decided as in the paper, against it, and not at all."""
+    """Return the numbers of pairs decided as in the paper, against it, and undecided."""
     found = {1: 0, -1: 0, 0: 0}
     shared = [model for model in samples if samples[model].values and model in printed]
     for a, b in combinations(shared, 2):
@@ -62,7 +62,7 @@ def agreement(
 
 
 def order_table(board: Board, confidence: float) -> Grid | None:
-    """Return the order of the models in each column of the results; None for a single model."""
+    """Build the ranking of the models in each column of results; None for a single model."""
     lines = []
     for with_filter, start, quantity in product((False, True), STARTS, QUANTITIES):
         measures = {model: Measure(model, quantity, start, with_filter) for model in board.groups}
@@ -97,7 +97,7 @@ def order_table(board: Board, confidence: float) -> Grid | None:
 
 
 def ablation_table(board: Board, confidence: float) -> Grid | None:
-    """Return the errors of one kind of model by its window W; None where fewer than two windows are there."""
+    """Build the table of errors by window W for one kind of model; None for fewer than two windows."""
     lines = []
     for assumes, windows in sorted(windows_of(board).items()):
         if len(windows) > 1:
@@ -121,7 +121,7 @@ def ablation_table(board: Board, confidence: float) -> Grid | None:
 
 
 def windows_of(board: Board) -> dict[str, dict[int, list[Entry]]]:
-    """Return the runs by what their models assume and by their window."""
+    """Group the runs by model assumptions and window."""
     kinds: dict[str, dict[int, list[Entry]]] = {}
     for entry in board.entries:
         window = entry.results.training.get("window")

@@ -1,4 +1,4 @@
-"""One HTML file that needs no network: sections with their table of contents, style and scripts inside."""
+"""Offline HTML file: sections with table of contents, style and scripts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline' 'unsafe-eval'; "
     "img-src data: blob:; font-src data:; worker-src blob:"
 )
-"""What the page may load: nothing but what stands in it. Plotly compiles its shaders' code."""
+"""Content security policy of the page: nothing external. Plotly compiles its shaders' code."""
 
 OPEN_FOR_PRINT = """
 addEventListener("beforeprint", () => {
@@ -31,13 +31,13 @@ if (matchMedia("(min-width: 75rem)").matches) document.querySelector("nav detail
 
 
 class Section(NamedTuple):
-    """A part of the page.
+    """Section of the page.
 
     Attributes:
-        anchor: its name in addresses.
-        title: its heading.
-        body: what stands below the heading.
-        parts: sections in it.
+        anchor: anchor name.
+        title: heading.
+        body: content below the heading.
+        parts: subsections.
     """
 
     anchor: str
@@ -47,13 +47,13 @@ class Section(NamedTuple):
 
 
 def page(title: str, subtitle: str, sections: list[Section], library: str = "") -> str:
-    """Return the whole file.
+    """Return the complete file.
 
     Args:
-        title: of the window and the page.
-        subtitle: a line below it.
-        sections: in their order.
-        library: source of plotly.js; "" where no figure needs it.
+        title: title of the window and the page.
+        subtitle: line below the title.
+        sections: sections in order.
+        library: source of plotly.js; "" without interactive figures.
     """
     style = files("ahnn_plugins.report").joinpath("page.css").read_text("utf-8")
     head = tag(

@@ -1,4 +1,4 @@
-"""A figure as data: what is drawn, apart from how; one renderer makes it interactive, another static."""
+"""Figures as data, independent of the interactive and static renderers."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ Kind = Literal["lines", "orbit", "bars"]
 
 
 class Series(NamedTuple):
-    """A curve, or the dots of one thing that is compared.
+    """Curve, or dots of one compared item.
 
     Attributes:
-        label: in the legend; series of one label are switched on and off together.
+        label: legend label; series with equal labels are toggled together.
         x, y: values, (T,); NaN interrupts a curve.
         z: third coordinate of an orbit, (T,).
-        role: what it is. A `filter` is a model that assimilates, a `term` a part of a sum.
-        slot: the number of its model in the report, or of its term; role and slot decide colour and dash, so
+        role: role of the series. A `filter` is a model that assimilates, a `term` is a part of a sum.
+        slot: index of its model in the report, or of its term; role and slot determine colour and dash, so
             that a model looks the same in every figure.
-        low, high: a band about it, (T,); of dots, their spread.
-        hover: further values to show under the pointer, by name with unit, each (T,).
+        low, high: band about it, (T,); spread of dots.
+        hover: further values of the tooltip, by name with unit, each (T,).
     """
 
     label: str
@@ -39,13 +39,13 @@ class Panel(NamedTuple):
     """Axes with curves.
 
     Attributes:
-        series: what is drawn, the first below.
+        series: series, the first at the back.
         x, y, z: labels, with their units.
         log: whether the vertical axis is logarithmic.
-        equal: whether a unit is equally long on both axes.
-        ticks: names of the places 0, 1, ... of a horizontal axis that compares things.
-        radius: of the planet at the origin of an orbit, in the unit of the axes; 0 is none.
-        limits: of the vertical axis; None shows everything.
+        equal: whether both axes have equal scale.
+        ticks: labels of positions 0, 1, ... on a categorical horizontal axis.
+        radius: radius of the planet at the origin of an orbit, in the unit of the axes; 0 for none.
+        limits: limits of the vertical axis; None for all data.
     """
 
     series: tuple[Series, ...]
@@ -60,13 +60,13 @@ class Panel(NamedTuple):
 
 
 class Drawing(NamedTuple):
-    """A figure of a report.
+    """Figure of a report.
 
     Attributes:
-        name: of its files and its anchor, such as `molniya_orbits`.
-        title: one line.
-        caption: what it shows and of which runs, with the figure of the paper that it answers to.
-        panels: one below another.
+        name: name of its files and its anchor, such as `molniya_orbits`.
+        title: one-line title.
+        caption: content and runs, with the corresponding figure of the paper.
+        panels: panels from top to bottom.
         kind: `lines`; `orbit`, one panel in three dimensions; or `bars`, dots with their spread.
     """
 

@@ -1,4 +1,4 @@
-"""A table as data: what it says, apart from HTML and LaTeX; and how its numbers are written."""
+"""Tables as data, independent of HTML and LaTeX, and number formats."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from ahnn_plugins.report.score_samples import Ratio, Sample
 
 Tone = Literal["", "best", "quiet", "words"]
 NONE = "–"
-"""What is not there."""
+"""Text of a missing value."""
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 class Cell(NamedTuple):
-    """A cell.
+    """Table cell.
 
     Attributes:
-        text: its content.
-        tone: `best` of its column, `quiet` for what others say, `words` for a text and no number.
-        note: number of the footnote from 1 on; 0 is none.
+        text: text of the cell.
+        tone: `best` of its column, `quiet` for values from elsewhere, `words` for text instead of a number.
+        note: footnote number from 1; 0 for none.
     """
 
     text: str
@@ -28,27 +28,27 @@ class Cell(NamedTuple):
 
 
 class Head(NamedTuple):
-    """A heading over some columns."""
+    """Heading over columns."""
 
     text: str
     span: int = 1
 
 
 class Line(NamedTuple):
-    """A row: its heading and its cells; or, without cells, a heading of the rows that follow."""
+    """Row with heading and cells; or, without cells, a heading of the following rows."""
 
     name: str
     cells: tuple[Cell, ...] = ()
 
 
 class Grid(NamedTuple):
-    """A table.
+    """Table.
 
     Attributes:
-        name: of its file and its anchor.
-        title: one line.
-        caption: what the numbers are.
-        heads: rows of headings, the first of each over the headings of the rows.
+        name: name of its file and its anchor.
+        title: one-line title.
+        caption: description of the numbers.
+        heads: rows of headings, the first of each above the row headings.
         lines: rows.
         notes: footnotes.
     """
@@ -67,12 +67,12 @@ class Grid(NamedTuple):
 
 
 def shown(value: float | None, digits: int = 3, least: int = -3) -> str:
-    """Return a number in a few significant digits; what is lost is `lost`, what is not there a dash.
+    """Format a number with few significant digits; `lost` if not finite, a dash if missing.
 
     Args:
-        value: the number.
-        digits: significant ones.
-        least: smallest power of ten that is written without an exponent.
+        value: number to format.
+        digits: number of significant digits.
+        least: smallest power of ten written without an exponent.
     """
     if value is None:
         return NONE
@@ -88,7 +88,7 @@ def shown(value: float | None, digits: int = 3, least: int = -3) -> str:
 
 
 def as_printed(value: float) -> str:
-    """Return a number with all digits that it was given, up to six."""
+    """Format a number with its given digits, up to six."""
     return _powered(f"{value:.6g}")
 
 
@@ -98,19 +98,19 @@ def _powered(text: str) -> str:
 
 
 def mean_and_spread(sample: Sample, scale: float = 1.0) -> str:
-    """Return `mean ± standard deviation` of a sample in a unit, the mean alone of a single run."""
+    """Format `mean ± standard deviation` of a sample in a unit, or only the mean of a single run."""
     if not sample.values:
         return NONE
     lost = sum(not math.isfinite(value) for value in sample.values)
     if lost:
         return f"lost in {lost} of {len(sample.values)}"
     mean = shown(sample.mean / scale)
-    least = -3 if "×" in mean else -7  # both in one notation
+    least = -3 if "×" in mean else -7  # both in the same notation
     return mean if sample.spread is None else f"{mean} ± {shown(sample.spread / scale, 2, least)}"
 
 
 def interval(ratio: Ratio) -> str:
-    """Return a ratio with the limits of its confidence interval in brackets."""
+    """Format a ratio with its confidence interval in brackets."""
     if math.isnan(ratio.value):
         return NONE
     if math.isinf(ratio.value):

@@ -1,4 +1,4 @@
-"""Drawings as interactive figures of an HTML page, by plotly; nothing is loaded from a network."""
+"""Interactive plotly figures for an offline HTML page."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from ahnn_plugins.report.looks import INK, OPACITY, Look, is_dots, look
 SCRIPT = "interactive.js"
 SYMBOLS = {"circle": "circle", "square": "square-open", "line": "line-ew-open", "x": "x-thin-open"}
 ABOVE, BELOW, GAP = 34, 46, 58
-"""Pixels above the first panel, below the last one up to the legend, and between two."""
+"""Pixels above the first panel, between the last one and the legend, and between panels."""
 TALL, LOW, SPACE = 250, 150, 500
-"""Heights of a panel of a few, of a panel of many, and of a scene."""
+"""Heights of a panel among few, of a panel among many, and of a scene."""
 SHORT, LONG = 30.0, 1e6
-"""Greatest to least of log axes whose labels are set; those of longer ones have room for plotly's own."""
+"""Dynamic range of log axes up to which labels are set here; plotly labels longer ones."""
 DISTANCE = 2.3
-"""Of the eye from a scene, in sizes of it."""
+"""Distance of the eye from a scene, in units of its size."""
 
 
 def library() -> str:
-    """Return the script that `to_html` needs, plotly and what draws with it, once for a page.
+    """Return the script required by `to_html`, plotly and our renderer, once per page.
 
     Raises:
         ImportError: plotly is not installed (the extra `report`).
@@ -41,9 +41,9 @@ def library() -> str:
 
 
 def to_html(drawing: Drawing) -> str:
-    """Return a figure as a `div` with its script, without title and caption.
+    """Render a figure as a `div` with its script, without title and caption.
 
-    A page must have the `library` once before its figures. The texts of a drawing may come from anywhere.
+    A page must contain the `library` once before its figures. Texts of a drawing are untrusted.
 
     Raises:
         ImportError: plotly is not installed (the extra `report`).
@@ -58,12 +58,12 @@ def to_html(drawing: Drawing) -> str:
 
 
 def _in_script(text: str) -> str:
-    """Return a script whose strings cannot end it."""
+    """Escape a script so that strings cannot terminate it."""
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def _stack(drawing: Drawing) -> Any:
-    """Return panels one below another, as plotly has it."""
+    """Return stacked panels as plotly data."""
     from plotly.graph_objects import Figure
 
     count = len(drawing.panels)
@@ -89,7 +89,7 @@ def _stack(drawing: Drawing) -> Any:
 
 
 def _heading(panel: Panel, top: float) -> dict[str, Any]:
-    """Return the label of a vertical axis, over it: a narrow screen has no room beside it."""
+    """Return the label of a vertical axis, placed above it, since narrow screens lack room beside it."""
     place = {"xref": "paper", "yref": "paper", "x": 0, "y": top, "xanchor": "left", "yanchor": "bottom"}
     return {"text": html.escape(panel.y), "showarrow": False, "yshift": 2, **place}
 
@@ -120,7 +120,7 @@ def _horizontal(panel: Panel, number: str, *, last: bool) -> dict[str, Any]:
 
 
 def _span(panel: Panel) -> list[float] | None:
-    """Return the range of the values that everything in a panel is a function of; None for paths."""
+    """Return the range of the independent variable of a panel; None for paths."""
     columns = [series.x for series in panel.series if len(series.x)]
     if not columns or not all(bool((x.diff() >= 0).all()) for x in columns):
         return None
@@ -141,7 +141,7 @@ def _vertical(panel: Panel, number: str, domain: list[float]) -> dict[str, Any]:
 
 
 def _decades(panel: Panel) -> dict[str, Any]:
-    """Return the labels of a log axis: powers of ten, or whole numbers between them where it is short."""
+    """Return the labels of a log axis: powers of ten, or integers between them on short axes."""
     values = torch.cat([series.y for series in panel.series])
     values = values[(values > 0) & values.isfinite()]
     if not len(values) or float(values.max() / values.min()) >= LONG:
@@ -149,7 +149,7 @@ def _decades(panel: Panel) -> dict[str, Any]:
     low, high = float(values.min()), float(values.max())
     if high >= SHORT * low:
         return {"dtick": 1}
-    # plotly would label these with a digit that does not say its power.
+    # plotly would label these with a digit without the power.
     decades = range(math.floor(math.log10(low)) - 2, math.ceil(math.log10(high)) + 3)
     ticks = [float(f"{digit}e{decade}") for decade in decades for digit in (1, 2, 5)]
     return {"tickvals": ticks, "ticktext": [f"{tick:g}" for tick in ticks]}
@@ -201,7 +201,7 @@ def _band(series: Series, style: Look, main: dict[str, Any]) -> list[dict[str, A
 
 
 def _hover(series: Series, values: str) -> dict[str, Any]:
-    """Return what stands under the pointer; texts in a template must not be taken for one."""
+    """Return the tooltip template, with texts escaped."""
     lines = [html.escape(series.label).replace("%{", "% {"), values]
     lines += [
         f"{html.escape(name).replace('%{', '% {')}: %{{customdata[{i}]:.5g}}"
@@ -214,7 +214,7 @@ def _hover(series: Series, values: str) -> dict[str, Any]:
 
 
 def _scene(drawing: Drawing) -> Any:
-    """Return an orbit in three dimensions, as plotly has it."""
+    """Return an orbit in three dimensions as plotly data."""
     from plotly.graph_objects import Figure
 
     panel = drawing.panels[0]
@@ -237,7 +237,7 @@ def _path(series: Series) -> dict[str, Any]:
 
 
 def _planet(panel: Panel) -> list[dict[str, Any]]:
-    """Return a plain sphere about the origin, none without a radius."""
+    """Return a plain sphere about the origin, or none without a radius."""
     if panel.radius <= 0:
         return []
     u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 33), np.linspace(0, np.pi, 17))
@@ -249,7 +249,7 @@ def _planet(panel: Panel) -> list[dict[str, Any]]:
 
 
 def _camera(panel: Panel) -> dict[str, Any]:
-    """Return an eye that looks at the plane of the last path, which is the truth, from somewhat above."""
+    """Return a camera position slightly above the plane of the last path, which is the truth."""
     last = panel.series[-1]
     assert last.z is not None
     points = np.stack([_numbers(part) for part in (last.x, last.y, last.z)], axis=-1).astype(np.float64)
@@ -262,10 +262,10 @@ def _camera(panel: Panel) -> dict[str, Any]:
 
 
 def _precise(values: Tensor) -> np.ndarray:
-    """Return values as they are: an energy varies in digits that float32 does not have."""
+    """Return values unchanged: energies vary below the resolution of float32."""
     return values.detach().numpy()
 
 
 def _numbers(values: Tensor) -> np.ndarray:
-    """Return values as float32, embedded as bytes; what it cannot hold is infinite and not drawn."""
+    """Return values as float32, embedded as bytes; values out of range are infinite and not drawn."""
     return values.detach().float().numpy()

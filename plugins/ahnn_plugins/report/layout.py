@@ -49,7 +49,7 @@ def letter(note: int) -> str:
 
 
 def grid_html(grid: Grid) -> Markup:
-    """Return a table in a frame that scrolls by itself."""
+    """Return a table in a separately scrolling frame."""
     first = next((line.cells for line in grid.lines if line.cells), ())
     words = [False, *(cell.tone == "words" for cell in first)]
     head = tag("thead", [_heads(row, words) for row in grid.heads])
@@ -63,7 +63,7 @@ def grid_html(grid: Grid) -> Markup:
 
 
 def _heads(row: tuple[Head, ...], words: list[bool]) -> Markup:
-    """Return a row of headings; those over texts begin where the texts do."""
+    """Return a row of headings; left-aligned over text columns."""
     cells, column = [], 0
     for head in row:
         kind = "words" if head.span == 1 and words[column : column + 1] == [True] else None
@@ -131,7 +131,7 @@ def _latex_cell(cell: Cell) -> str:
 
 
 def latex(text: str) -> str:
-    """Return a text that LaTeX prints as it is."""
+    """Escape a text for LaTeX."""
     plain = POWER.sub(lambda m: f"10\0{''.join(_digit(sign) for sign in m[1])}\1", " ".join(text.split()))
     signs = "".join(LATEX.get(sign, sign) for sign in plain)
     return signs.replace("\0", "$^{").replace("\1", "}$")

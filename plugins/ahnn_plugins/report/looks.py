@@ -1,7 +1,7 @@
-"""How a series looks in every renderer: colour, dash, width and symbol, from its role and its slot.
+"""Appearance of series in all renderers: colour, dash, width and symbol, by role and slot.
 
-Colours are those of Okabe & Ito; no two models of a report share colour and dash before the 31st, so that
-curves are told apart without colour too.
+Colours are those of Okabe & Ito; the first 30 models of a report have distinct combinations of colour and
+dash, so that curves are distinguishable without colour.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from ahnn.evaluation.style import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 from ahnn_plugins.report.drawing import Kind, Series
 
 INK = "ink"
-"""The colour of text, which depends on what the figure lies on."""
+"""Text colour, which depends on the background of the figure."""
 COLOURS = (VERMILLION, GREEN, ORANGE, PURPLE, SKY)
 DASHES = ("solid", "dash", "dashdot", "longdash", "dot", "longdashdot")
 SYMBOLS = {"model": "circle", "filter": "square", "floor": "line", "paper": "x"}
-"""Of dots, by role."""
+"""Symbols of dots, by role."""
 OPACITY = 0.18
-"""Of bands."""
+"""Opacity of bands."""
 
 
 class Look(NamedTuple):
@@ -39,7 +39,7 @@ FIXED = {
 
 
 def look(series: Series) -> Look:
-    """Return how a series looks."""
+    """Return the appearance of a series."""
     if series.role in FIXED:
         return FIXED[series.role]
     colours = (*COLOURS, BLUE) if series.role == "term" else COLOURS
@@ -49,5 +49,5 @@ def look(series: Series) -> Look:
 
 
 def is_dots(series: Series, kind: Kind) -> bool:
-    """Return whether a series is drawn as dots and not as a line."""
+    """Return whether a series is drawn as dots instead of a line."""
     return kind == "bars" or series.role == "measurement"

@@ -1,4 +1,4 @@
-"""The page of many runs: a reproduction, an ablation, or whatever was trained."""
+"""Page of many runs, such as a reproduction or an ablation."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _tables(scores: Board, confidence: float) -> list[Grid]:
 def sections(
     collection: Collection, grids: dict[str, list[Grid]], pictures: list[Picture], confidence: float
 ) -> list[Section]:
-    """Return the parts of the page."""
+    """Return the sections of the page."""
     found = verdicts(collection, confidence)
     placed = of_system(pictures, collection.systems())
     rest = figures_html(placed.get("", []))
@@ -81,12 +81,12 @@ def _summary(collection: Collection, found: list[Verdict]) -> Markup:
 
 
 def definitions(facts: dict[str, str]) -> Markup:
-    """Return names with what they stand for."""
+    """Return a definition list."""
     return tag("dl", [[tag("dt", name), tag("dd", text)] for name, text in facts.items()])
 
 
 def remarks_html(texts: list[str]) -> Content:
-    """Return remarks as a list, nothing where there are none."""
+    """Return remarks as a list, or nothing."""
     return tag("ul", [tag("li", text) for text in texts], class_="remarks") if texts else Markup()
 
 
@@ -151,7 +151,7 @@ def _method(confidence: float) -> Markup:
 
 
 def runs_table(collection: Collection) -> Grid:
-    """Return where each run lies and what made it."""
+    """Build the table of run folders and their provenance."""
     names = ("model", "system", "seed", "date", "version", "commit", "command")
     lines = []
     for entry in collection.entries:

@@ -1,4 +1,4 @@
-"""A table in Markdown, for documents beside code."""
+"""Markdown output of tables."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from ahnn_plugins.report.grid import Cell, Grid, Head
 from ahnn_plugins.report.layout import letter
 
 SIGNS = re.compile(r"[\\`*_{}\[\]#|~!$]")
-"""What Markdown reads as more than itself."""
+"""Characters with a special meaning in Markdown."""
 
 
 def grid_markdown(grid: Grid) -> str:
-    """Return a table of pipes, with its title and caption over it and its footnotes below."""
+    """Render a table with pipes, with its title and caption over it and its footnotes below."""
     columns = [*map(list, zip(*map(_spread, grid.heads), strict=True))]
     heads = [", ".join(dict.fromkeys(filter(None, column))) for column in columns]
     first = next((line.cells for line in grid.lines if line.cells), ())
@@ -29,12 +29,12 @@ def grid_markdown(grid: Grid) -> str:
 
 
 def markdown(text: str) -> str:
-    """Return a text on one line that Markdown shows as it is."""
+    """Escape a text for one line of Markdown."""
     return SIGNS.sub(lambda sign: f"\\{sign[0]}", html.escape(" ".join(text.split()), quote=False))
 
 
 def _spread(row: tuple[Head, ...]) -> list[str]:
-    """Return the heading over each column."""
+    """Return the heading above each column."""
     return [markdown(head.text) for head in row for _ in range(head.span)]
 
 

@@ -1,4 +1,4 @@
-"""HTML from values: every text is escaped unless it was made here."""
+"""Generation of HTML, with all external text escaped."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from collections.abc import Iterable
 
 
 class Markup(str):
-    """HTML that is safe to stand in a page: all that came from outside is escaped in it."""
+    """Safe HTML, in which all external text is escaped."""
 
     __slots__ = ()
 
 
 Content = str | Iterable["Content"]
-"""Texts, which are escaped, markup, which is not, and nested sequences of both."""
+"""Content: texts, which are escaped, markup, which is not, and nested sequences of both."""
 
 UNSAFE = re.compile(r"[^A-Za-z0-9_-]+")
 
@@ -22,7 +22,7 @@ VOID = ("meta", "br", "col", "img")
 
 
 def escaped(content: Content) -> Markup:
-    """Return content as markup."""
+    """Convert content to markup."""
     if isinstance(content, Markup):
         return content
     if isinstance(content, str):
@@ -31,12 +31,12 @@ def escaped(content: Content) -> Markup:
 
 
 def tag(name: str, /, *content: Content, **attributes: str | int | None) -> Markup:
-    """Return an element.
+    """Build an element.
 
     Args:
-        name: of the element.
-        content: what it holds.
-        attributes: their values are escaped; None leaves one out; `class_` is class, `_` stands for `-`.
+        name: name of the element.
+        content: content of the element.
+        attributes: their values are escaped; None omits one; `class_` is class, `_` stands for `-`.
     """
     pairs = {key.rstrip("_").replace("_", "-"): value for key, value in attributes.items()}
     given = "".join(f' {k}="{html.escape(str(v))}"' for k, v in pairs.items() if v is not None)
@@ -44,5 +44,5 @@ def tag(name: str, /, *content: Content, **attributes: str | int | None) -> Mark
 
 
 def safe_name(name: str) -> str:
-    """Return a name for a file or an anchor: what came from a run folder leads nowhere else."""
+    """Return a safe name of a file or an anchor from untrusted text."""
     return UNSAFE.sub("_", name)[:100] or "_"

@@ -1,4 +1,4 @@
-"""Tables that any runs have: all scores, prior knowledge and noise, and what each model costs."""
+"""General tables: all scores, prior knowledge and noise, and training costs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ahnn_plugins.report.settings import loss_of, noise_of, values_of
 
 
 def score_table(board: Board) -> Grid:
-    """Return every row of every model beside its floor."""
+    """Build the table of all rows of all models with floors."""
     lines = []
     for model, entries in board.groups.items():
         lines.append(Line(model))
@@ -44,7 +44,7 @@ def score_table(board: Board) -> Grid:
 
 
 def floors(entries: Iterable[Entry], who: Who, quantity: str) -> Sample:
-    """Return the floor beside a row, over runs."""
+    """Return the floor of a row, over runs."""
     found = []
     for entry in entries:
         same = [r for r in entry.results.rows if r.who.floor and r.who[1:4] == who[1:4]]
@@ -57,7 +57,7 @@ def floors(entries: Iterable[Entry], who: Who, quantity: str) -> Sample:
 
 
 def described(who: Who, model: str) -> str:
-    """Return what predicts from which start, without the model's name where its rows stand below it."""
+    """Describe predictor and start, without the model's name in its own section."""
     name = title(who, model)
     own = name.removeprefix(model).removeprefix(" + ") if who.process == MODEL else name
     span = ", settled" if who.span == "settled" else ""
@@ -65,7 +65,7 @@ def described(who: Who, model: str) -> str:
 
 
 def ladder_table(board: Board) -> Grid | None:
-    """Return the errors by prior knowledge, loss and noise; None where all runs agree in them."""
+    """Return the errors by prior knowledge, loss and noise; None if all runs agree in them."""
     steps: dict[tuple[str, str, str], list[Entry]] = {}
     for entry in board.entries:
         content = values_of(entry.folder)
@@ -99,7 +99,7 @@ def ladder_table(board: Board) -> Grid | None:
 
 
 def cost_table(board: Board) -> Grid:
-    """Return what the training of each model took."""
+    """Build the table of training costs by model."""
     lines = []
     for model, entries in board.groups.items():
         count = [Cell(str(len(entries)))]
@@ -116,11 +116,11 @@ COSTS = {
     "window": "window W",
     "val_loss": "validation loss",
 }
-"""Numbers on a training, with their headings."""
+"""Training information, with column headings."""
 
 
 def number(values: dict[str, Any], key: str) -> float | None:
-    """Return a number that a file says, None where it says something else, or more than a float holds."""
+    """Return a number from a file; None for other values or overflow."""
     value = values.get(key)
     if isinstance(value, bool) or not isinstance(value, float | int):
         return None

@@ -1,4 +1,4 @@
-"""The numbers that the paper prints, read from files beside this one: arXiv 2501.18808."""
+"""Numbers printed in the paper, arXiv 2501.18808, read from data files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SUSPICIOUS = "suspicious.csv"
 COLUMNS = ["table", "model", "scenario", "quantity", "value_in_physical_units", "unit"]
 REASONS = ["table", "model", "scenario", "quantity", "reason"]
 MODELS = ("MLP", "NODE", "HNN", "AHNN3", "AHNN5")
-"""Rows of both tables, in the paper's order; with the filter they are `filtered` names."""
+"""Rows of both tables, in the paper's order; with the filter `filtered` gives their names."""
 
 SYSTEMS = {
     "table1_mass_spring": "mass_spring",
@@ -33,13 +33,13 @@ def filtered(model: str) -> str:
 
 
 class PaperCell(NamedTuple):
-    """Where a number of the paper stands.
+    """Position of a number in the paper's tables.
 
     Attributes:
         system: `mass_spring` or `molniya`.
         model: one of `MODELS`.
         filtered: whether with the filter.
-        start: from which the prediction begins.
+        start: start of the prediction.
         quantity: `position`, `velocity` or `energy`.
     """
 
@@ -51,12 +51,12 @@ class PaperCell(NamedTuple):
 
 
 class Printed(NamedTuple):
-    """A number of the paper.
+    """Number printed in the paper.
 
     Attributes:
-        value: as printed, in the unit.
-        unit: a physical one.
-        doubt: why it is suspicious; "" where it is not.
+        value: printed value, in the unit.
+        unit: physical unit.
+        doubt: reason why it is suspicious; "" if not.
     """
 
     value: float
@@ -82,7 +82,7 @@ def printed() -> dict[PaperCell, Printed]:
 
 
 def printed_value(system: str, model: str, start: str, quantity: str, *, ukf: bool = False) -> float | None:
-    """Return a printed number of a model, its name in any capitals; None where the paper has none."""
+    """Return a printed number of a model, by case-insensitive name; None if the paper has none."""
     places = (
         PaperCell(system, model.upper(), ukf, known, quantity) for known in STARTS.values() if known == start
     )
@@ -90,10 +90,10 @@ def printed_value(system: str, model: str, start: str, quantity: str, *, ukf: bo
 
 
 def read_numbers(text: str) -> dict[PaperCell, Printed]:
-    """Return the numbers of a table of the columns `COLUMNS`.
+    """Read the numbers of a table with the columns `COLUMNS`.
 
     Raises:
-        ValueError: other columns, a cell twice, an unknown name, or a value that is not above zero.
+        ValueError: other columns, a duplicate cell, an unknown name, or a value that is not positive.
     """
     found: dict[PaperCell, Printed] = {}
     for row in read_rows(text, COLUMNS):
@@ -106,7 +106,7 @@ def read_numbers(text: str) -> dict[PaperCell, Printed]:
 
 
 def read_rows(text: str, columns: list[str]) -> list[dict[str, str]]:
-    """Return the rows of a table; raises ValueError for other columns or a row of another length."""
+    """Read the rows of a table; raises ValueError for other columns or a row of the wrong length."""
     head, *rows = csv.reader(text.splitlines())
     if head != columns or any(len(row) != len(columns) for row in rows):
         message = f"expected the columns {', '.join(columns)} in every row; received {', '.join(head)}"
@@ -115,7 +115,7 @@ def read_rows(text: str, columns: list[str]) -> list[dict[str, str]]:
 
 
 def place(row: dict[str, str]) -> PaperCell:
-    """Return where the number of a row stands; raises ValueError for a name that is unknown."""
+    """Return the position of a row's number; raises ValueError for an unknown name."""
     names = {filtered(model): (model, True) for model in MODELS} | {m: (m, False) for m in MODELS}
     quantity = row["quantity"].removeprefix("rmse_")
     if quantity not in ("position", "velocity", "energy"):

@@ -1,4 +1,4 @@
-"""Tables 1 and 2 of the paper in its layout and units, with the runs' numbers beside the printed ones."""
+"""Tables 1 and 2 of the paper in its layout and units, with numbers of the runs and of the paper."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SUB = (Head("ours"), Head("paper"), Head("floor"))
 
 
 class PaperLayout(NamedTuple):
-    """How the paper prints a table: its number, its title, and its units."""
+    """Layout of a table of the paper: number, title and units."""
 
     number: int
     title: str
@@ -36,13 +36,13 @@ LAYOUTS = {
 
 
 def is_of_paper(board: Board) -> bool:
-    """Return whether runs of the paper's system in its units are there, with one of its models."""
+    """Return whether there are runs of the paper's system in its units, with one of its models."""
     measures = (Measure(model) for model in MODELS if model in board.groups)
     return any(board.printed(measure) is not None for measure in measures)
 
 
 def rmse_table(board: Board) -> Grid:
-    """Return Table 1 or 2: rows of models without and with the filter, columns of starts and quantities."""
+    """Build Table 1 or 2: rows of models without and with the filter, columns of starts and quantities."""
     layout = LAYOUTS[board.system]
     columns: list[tuple[Start, str]] = [(s, quantity) for s in STARTS for quantity in layout.units]
     doubts = _doubts(board, columns)
@@ -74,7 +74,7 @@ def rmse_table(board: Board) -> Grid:
 
 
 def energy_table(board: Board) -> Grid:
-    """Return the energy RMSEs that the paper gives in its text, from the true start without the filter."""
+    """Build the table of energy RMSEs given in the paper's text, from the true start without the filter."""
     unit = board.entries[0].results.space.units.energy
     lines = []
     best = _best(board, "true", "energy", with_filter=False)
@@ -99,7 +99,7 @@ def _section(board: Board, with_filter: bool) -> str:
 
 
 def _doubts(board: Board, columns: list[tuple[Start, str]]) -> list[str]:
-    """Return the reasons against cells, each once, in the order of the table."""
+    """Return the doubts about cells, without duplicates, in the order of the table."""
     cells = (
         board.printed(Measure(model, quantity, start, with_filter))
         for with_filter in (False, True)
@@ -110,14 +110,14 @@ def _doubts(board: Board, columns: list[tuple[Start, str]]) -> list[str]:
 
 
 def _best(board: Board, start: Start, quantity: str, with_filter: bool) -> str | None:
-    """Return the model of the lowest mean; None where fewer than two have one."""
+    """Return the model of the lowest mean; None for fewer than two means."""
     means = {m: board.sample(Measure(m, quantity, start, with_filter)).mean for m in MODELS}
     finite = {model: mean for model, mean in means.items() if math.isfinite(mean)}
     return min(finite, key=lambda model: finite[model]) if len(finite) > 1 else None
 
 
 def _cells(board: Board, measure: Measure, scale: float, doubts: list[str], *, is_best: bool) -> list[Cell]:
-    """Return ours, the paper's and the floor."""
+    """Return the cells of our value, the paper's and the floor."""
     own, floor, said = board.sample(measure), board.floor(measure), board.printed(measure)
     return [
         Cell(mean_and_spread(own, scale), "best" if is_best else ""),

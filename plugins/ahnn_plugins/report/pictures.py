@@ -1,4 +1,4 @@
-"""Figures of a report: as HTML in the page, and as files beside it."""
+"""Figures of a report: as HTML in the page, and as separate files."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class Picture(NamedTuple):
     """A figure with its HTML and its files.
 
     Attributes:
-        drawing: what is drawn.
+        drawing: figure data.
         html: element with its script.
-        files: contents by suffix.
+        files: file contents by suffix.
     """
 
     drawing: Drawing
@@ -28,7 +28,7 @@ class Picture(NamedTuple):
 
 
 def require_plotly() -> None:
-    """Check that figures can be made interactive.
+    """Check that plotly is available for interactive figures.
 
     Raises:
         UserError: plotly is missing.
@@ -49,7 +49,7 @@ def library() -> str:
 
 
 def pictures(collection: Collection) -> list[Picture]:
-    """Return all figures of a collection; plotly.js itself is not in them."""
+    """Return all figures of a collection; without plotly.js itself."""
     from ahnn_plugins.report.figures import draw
     from ahnn_plugins.report.interactive import to_html
     from ahnn_plugins.report.static import to_matplotlib
@@ -79,7 +79,7 @@ def _figure(picture: Picture) -> Markup:
 
 
 def of_system(found: list[Picture], systems: list[str]) -> dict[str, list[Picture]]:
-    """Return the figures by the system that their names begin with, the longest; "" for no system."""
+    """Group figures by the longest system name that prefixes theirs; "" for none."""
     placed: dict[str, list[Picture]] = {}
     for picture in found:
         fits = [s for s in systems if picture.drawing.name.startswith(s)]

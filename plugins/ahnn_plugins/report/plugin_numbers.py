@@ -1,4 +1,4 @@
-"""Numbers of plugins: what has a mean and a 95 % band is judged, all else is listed."""
+"""Numbers of plugins: means with 95 % bands are tested, others are listed."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from ahnn_plugins.report.grid import Cell, Grid, Head, Line, shown
 
 BAND = "band_95"
 LONGEST = 12
-"""Entries of a list that are shown."""
+"""Maximum number of list entries shown."""
 
 
 class JudgedNumber(NamedTuple):
-    """A mean beside the band where that of a consistent estimator lies."""
+    """Mean with the band of a consistent estimator."""
 
     name: str
     mean: float
@@ -37,7 +37,7 @@ def judged(numbers: Any, name: str = "") -> Iterator[JudgedNumber]:
 
 
 def consistency_table(system: str, numbers: dict[str, Any]) -> Grid | None:
-    """Return the consistency of the estimators; None where no plugin says any."""
+    """Return the consistency of the estimators; None without such numbers."""
     lines = []
     for each in judged(numbers):
         inside = each.low <= each.mean <= each.high

@@ -1,4 +1,4 @@
-"""What a reader must know of the runs before the numbers: what is missing, and what is not alike."""
+"""Remarks on runs: missing results and differences."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ahnn_plugins.report.paper_tables import LAYOUTS, is_of_paper
 from ahnn_plugins.report.scores import Board
 
 SAME = 1e-6
-"""Relative difference of floors up to which runs saw the same test trajectories."""
+"""Relative difference of floors within which runs used the same test trajectories."""
 
 
 def remarks(board: Board) -> list[str]:
-    """Return what is missing among the runs of a system, and what is not alike."""
+    """Return remarks on missing runs of a system, and on differences between runs."""
     return [
         *_missing(board),
         *_seeds(board),
@@ -31,7 +31,7 @@ def remarks(board: Board) -> list[str]:
 
 
 def unfinished(folders: tuple[Path, ...]) -> list[str]:
-    """Return which folders hold no results."""
+    """Return a remark on folders without results."""
     if not folders:
         return []
     names = ", ".join(str(folder) for folder in folders[:10]) + (", ..." if len(folders) > 10 else "")

@@ -1,4 +1,4 @@
-"""A score over the runs of one model, and the ratio of two of them with its confidence."""
+"""Samples of scores over runs, and ratios with confidence intervals."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 
 class Sample(NamedTuple):
-    """A score of several runs that differ in their seeds.
+    """Scores of several runs with different seeds.
 
     Attributes:
-        values: one for each run; inf and NaN where a prediction is lost.
+        values: one per run; inf or NaN for diverged predictions.
     """
 
     values: tuple[float, ...]
@@ -23,12 +23,12 @@ class Sample(NamedTuple):
 
     @property
     def mean(self) -> float:
-        """Arithmetic mean; inf or NaN where a value is."""
+        """Arithmetic mean; inf or NaN if a value is."""
         return sum(self.values) / len(self.values) if self.values else math.nan
 
     @property
     def spread(self) -> float | None:
-        """Standard deviation of a run, with n - 1; None for fewer than two runs, or lost ones."""
+        """Sample standard deviation, with n - 1; None for fewer than two or diverged runs."""
         return statistics.stdev(self.values) if len(self.values) > 1 and self.finite else None
 
     @property
@@ -39,17 +39,17 @@ class Sample(NamedTuple):
 
     @property
     def typical(self) -> float:
-        """Geometric mean, by which models are put into order; inf or NaN where a prediction is lost."""
+        """Geometric mean, used for rankings; inf or NaN for diverged predictions."""
         logarithms = self.logarithms
         return self.mean if logarithms is None else math.exp(statistics.fmean(logarithms))
 
 
 class Ratio(NamedTuple):
-    """How many times one score is another.
+    """Ratio of two scores.
 
     Attributes:
-        value: ratio of the geometric means; NaN where it is not known.
-        low, high: limits of its confidence interval; 0 and inf where the spread is not known.
+        value: ratio of the geometric means; NaN if unknown.
+        low, high: limits of its confidence interval; 0 and inf for unknown spread.
     """
 
     value: float
@@ -66,15 +66,15 @@ class Ratio(NamedTuple):
 
 
 def ratio(one: Sample, other: Sample, confidence: float) -> Ratio:
-    """Return one score over another.
+    """Compute the ratio of two scores.
 
-    Errors spread by factors, so the test is that of Welch (1947) on their logarithms: standard error
+    Errors scatter by factors, so Welch's test (1947) is applied to their logarithms: standard error
     sqrt(s1^2/n1 + s2^2/n2), degrees of freedom by Satterthwaite (1946).
 
     Args:
-        one: the numerator.
-        other: the denominator.
-        confidence: of the two-sided interval, such as 0.95.
+        one: numerator.
+        other: denominator.
+        confidence: level of the two-sided interval, such as 0.95.
     """
     a, b = one.logarithms, other.logarithms
     if a is None or b is None:
@@ -92,7 +92,7 @@ def ratio(one: Sample, other: Sample, confidence: float) -> Ratio:
 
 
 def _power(logarithm: float) -> float:
-    """Return e to some power, inf where no number holds it."""
+    """Return e to a power, inf on overflow."""
     try:
         return math.exp(logarithm)
     except OverflowError:
@@ -101,13 +101,13 @@ def _power(logarithm: float) -> float:
 
 def _quantile(confidence: float, freedom: float) -> float:
     """Return the quantile of Student's t of a two-sided interval."""
-    from scipy.special import stdtrit  # a tenth of a second that only a comparison needs
+    from scipy.special import stdtrit  # import takes a tenth of a second and is needed for comparisons only
 
     return float(stdtrit(freedom, 0.5 + confidence / 2))
 
 
 def _lost(one: Sample, other: Sample) -> Ratio:
-    """Return a ratio where predictions are lost: known only if all of one are, and none of the other."""
+    """Return a ratio with diverged predictions: known only if all of one and none of the other diverged."""
     if one.values and other.values:
         lost = [[not math.isfinite(value) for value in sample.values] for sample in (one, other)]
         enough = min(map(len, lost)) > 1

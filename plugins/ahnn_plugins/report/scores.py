@@ -1,4 +1,4 @@
-"""The scores of a system's runs by model: samples over seeds, beside what perfect knowledge scores."""
+"""Scores of a system's runs by model: samples over seeds, with floors."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from ahnn_plugins.report.score_samples import Sample
 
 QUANTITIES = ("position", "velocity", "energy")
 FILTERS = ("ukf_tuned", "ukf")
-"""Estimators that stand in the paper's rows with the filter; the paper tunes it."""
+"""Estimators used for the paper's rows with the filter; the paper uses a tuned one."""
 
 
 class Measure(NamedTuple):
-    """What is scored.
+    """Definition of a score.
 
     Attributes:
         model: name in tables.
         quantity: `position`, `velocity` or `energy`.
-        start: from which the prediction begins.
+        start: start of the prediction.
         filtered: whether with the filter.
     """
 
@@ -35,12 +35,12 @@ class Measure(NamedTuple):
 
 
 class Board(NamedTuple):
-    """The runs of a system by model; those of the paper's recipe have its names, in capitals.
+    """Runs of a system by model; those of the paper's recipe have its names, in capitals.
 
     Attributes:
-        system: its name.
-        groups: runs of each model, in the paper's order, others behind.
-        estimator: what filters in rows that are filtered; None where nothing does.
+        system: system name.
+        groups: runs of each model, in the paper's order, followed by others.
+        estimator: estimator of filtered rows, or None.
     """
 
     system: str
@@ -53,18 +53,18 @@ class Board(NamedTuple):
         return [entry for group in self.groups.values() for entry in group]
 
     def sample(self, measure: Measure) -> Sample:
-        """Return a score over the runs that have it."""
+        """Return a score over the runs that contain it."""
         return self.sample_of(self.groups.get(measure.model, []), measure)
 
     def sample_of(self, entries: list[Entry], measure: Measure) -> Sample:
-        """Return a score over given runs, whatever their model."""
+        """Return a score over given runs, of any model."""
         if measure.filtered and self.estimator is None:
             return Sample(())
         who = Who(MODEL, measure.start, self.estimator if measure.filtered else None)
         return sample(entries, who, measure.quantity)
 
     def floor(self, measure: Measure) -> Sample:
-        """Return what perfect knowledge scores in the place of a measure, over all runs that say it."""
+        """Return the floor of a measure, over all runs that contain it."""
         if measure.filtered and self.estimator is None:
             return Sample(())
         found = (floor_of(e, measure.start, measure.filtered, self.estimator) for e in self.entries)
@@ -72,7 +72,7 @@ class Board(NamedTuple):
         return measured(values)
 
     def printed(self, measure: Measure) -> Printed | None:
-        """Return the paper's number in the place of a measure, where it is in the same unit."""
+        """Return the paper's number for a measure, if in the same unit."""
         found = printed().get(
             PaperCell(self.system, measure.model, measure.filtered, measure.start, measure.quantity)
         )
@@ -81,7 +81,7 @@ class Board(NamedTuple):
 
 
 def board(collection: Collection, system: str) -> Board:
-    """Return the scores of a system."""
+    """Build the score board of a system."""
     groups: dict[str, list[Entry]] = {}
     for entry in collection.of(system):
         groups.setdefault(entry.model, []).append(entry)
@@ -90,7 +90,7 @@ def board(collection: Collection, system: str) -> Board:
 
 
 def estimator(entries: Iterable[Entry]) -> str | None:
-    """Return the estimator of the rows with a filter: one that all runs share, tuned first."""
+    """Return the estimator of the rows with a filter: one common to all runs, preferably tuned."""
     named = [{r.who.estimator for r in e.results.rows if r.who.process == MODEL} - {None} for e in entries]
     there = [names for names in named if names]
     if not there:
@@ -100,25 +100,25 @@ def estimator(entries: Iterable[Entry]) -> str | None:
 
 
 def plain_filter(entries: Iterable[Entry]) -> str:
-    """Return the filter that figures show: the plain one of the paper, or the first there is."""
+    """Return the filter for figures: the plain one of the paper, or the first available."""
     names = dict.fromkeys(row.who.estimator for entry in entries for row in entry.results.rows)
     plain = [name for name in names if name and "_" not in name]
     return FILTERS[-1] if FILTERS[-1] in plain or not plain else plain[0]
 
 
 def sample(entries: Iterable[Entry], who: Who, quantity: str) -> Sample:
-    """Return a score of one row over the runs that have it."""
+    """Return a score of one row over the runs that contain it."""
     rows = (entry.results.row(who) for entry in entries)
     return measured(getattr(row.scores, quantity) for row in rows if row is not None)
 
 
 def measured(values: Iterable[float | None]) -> Sample:
-    """Return a score without NaN, which is of runs that measured nothing; what is lost is infinite."""
+    """Return a score, None for NaN of unmeasured quantities; diverged ones are infinite."""
     return Sample(tuple(value for value in values if value is not None and not math.isnan(value)))
 
 
 def floor_of(entry: Entry, start: str, filtered: bool, estimator: str | None) -> Row | None:
-    """Return the floor from a start; with a filter, that of its untuned form where it has none of its own."""
+    """Return the floor from a start; for a filter without its own floor, that of its untuned form."""
     wanted = [estimator, (estimator or "").split("_")[0]] if filtered else [None]
     for name in wanted:
         for row in entry.results.rows:

@@ -1,4 +1,4 @@
-"""The configuration of a run folder as plain values and as text; nothing in it is built or looked up."""
+"""Configuration of a run folder as plain values and text, without building anything."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ahnn_plugins.report.collection import SETTINGS
 
 
 def text_of(folder: Path) -> str:
-    """Return the configuration of a run, or of the run whose evaluation this is; "" where there is none."""
+    """Return the configuration of a run, or of an evaluation's run; "" if missing."""
     for place in (folder, folder.parent.parent):
         with suppress(OSError):
             return read_whole(place / SETTINGS).decode("utf-8", "replace")
@@ -20,7 +20,7 @@ def text_of(folder: Path) -> str:
 
 
 def values_of(folder: Path) -> dict[str, Any]:
-    """Return the configuration of a run as nested values; an empty one where it cannot be read."""
+    """Return the configuration of a run as nested values; empty if unreadable."""
     for place in (folder, folder.parent.parent):
         with suppress(UserError):
             return read_plain(place / SETTINGS)
@@ -28,14 +28,14 @@ def values_of(folder: Path) -> dict[str, Any]:
 
 
 def noise_of(content: dict[str, Any]) -> str:
-    """Return the noise of the training data as it was asked for; `exact` where there was none."""
+    """Return the configured noise of the training data; `exact` for none."""
     data = content.get("data")
     noise = data.get("noise") if isinstance(data, dict) else None
     return "exact" if noise is None else str(noise)[:60]
 
 
 def loss_of(content: dict[str, Any]) -> str:
-    """Return what a training made small, in a few words; "" where the configuration does not say it."""
+    """Describe the training loss in a few words; "" if not configured."""
     loss = content.get("loss")
     if not isinstance(loss, dict):
         return ""

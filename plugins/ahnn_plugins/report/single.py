@@ -1,4 +1,4 @@
-"""The page of one run: scores beside floors, consistency, figures, settings and what made it."""
+"""Page of one run: scores with floors, consistency, figures, settings and provenance."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def tables(collection: Collection) -> dict[str, list[Grid]]:
 
 
 def sections(collection: Collection, grids: dict[str, list[Grid]], pictures: list[Picture]) -> list[Section]:
-    """Return the parts of the page."""
+    """Return the sections of the page."""
     (entry,) = collection.entries
     scores, *others = grids[entry.system]
     results = entry.results

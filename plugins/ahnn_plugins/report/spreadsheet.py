@@ -1,4 +1,4 @@
-"""All scores of a collection as one CSV table, a row for each model, start, filter and quantity."""
+"""All scores of a collection as one CSV table, with one row per model, start, filter and quantity."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ COLUMNS = (
     "paper_doubt",
 )
 FORMULA = ("=", "+", "-", "@", "\t", "\r")
-"""First signs of a text that a spreadsheet would compute."""
+"""Initial characters of texts that a spreadsheet would evaluate."""
 
 
 def scores_csv(collection: Collection) -> str:
-    """Return the table; numbers in physical units with all their digits."""
+    """Format the table, with numbers in physical units and full precision."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
@@ -65,7 +65,7 @@ def _rows(scores: Board) -> Iterator[tuple[str | float | None, ...]]:
 
 
 def _cell(value: str | float | None) -> str:
-    """Return a cell; a text that a spreadsheet would take for a formula is marked as a text."""
+    """Return a cell; texts that a spreadsheet would treat as formulas are escaped."""
     if value is None:
         return ""
     if isinstance(value, str):

@@ -1,4 +1,4 @@
-"""Drawings as pictures, by matplotlib: for print, and for those who take a figure along."""
+"""Static matplotlib figures, for print and reuse."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ DASHES: dict[str, Any] = {
 }
 MARKERS = {"circle": "o", "square": "s", "line": "_", "x": "x"}
 SHORT = 30.0
-"""Greatest to least of an axis that has labels between powers of ten."""
+"""Dynamic range of an axis with labels between powers of ten."""
 MANY = 3
-"""Panels of one column; more stand in two."""
+"""Maximum number of panels in one column; more use two."""
 
 
 def to_matplotlib(drawing: Drawing) -> Figure:
-    """Return a figure with its title, in the style of all pictures of this library."""
+    """Render a figure with its title, in the common style of the library."""
     if drawing.kind == "orbit":
         return _space(drawing)
     count = len(drawing.panels)
@@ -40,7 +40,7 @@ def to_matplotlib(drawing: Drawing) -> Figure:
     if square:
         figure.set_size_inches(6.4, 6.0)
     grid = figure.subplots(rows, columns, sharex=not drawing.panels[0].equal, squeeze=False)
-    # By columns: positions stand left of velocities.
+    # Column-wise: positions left of velocities.
     places = list(grid.T.flat)
     for axes in places[count:]:
         axes.set_visible(False)
@@ -73,7 +73,7 @@ def _fill(axes: Any, panel: Panel, drawing: Drawing) -> None:
 
 
 def _logarithmic(axes: Any) -> None:
-    """Make the vertical axis logarithmic, with labels at powers of ten, or between them where it is short."""
+    """Make the vertical axis logarithmic, with labels at powers of ten, or between them on short axes."""
     axes.set_yscale("log")
     low, high = axes.get_ylim()
     if high < SHORT * low:
@@ -83,7 +83,7 @@ def _logarithmic(axes: Any) -> None:
 
 
 def _line(axes: Any, series: Series) -> None:
-    """Draw a curve over its band."""
+    """Draw a curve with its band."""
     options = _line_options(series)
     if series.low is not None and series.high is not None:
         band = {"color": options["color"], "alpha": OPACITY + 0.05, "lw": 0}
@@ -114,7 +114,7 @@ def _dots(axes: Any, series: Series) -> None:
 
 
 def _space(drawing: Drawing) -> Figure:
-    """Draw an orbit in space, the planet to scale."""
+    """Draw an orbit in space, with the planet to scale."""
     panel = drawing.panels[0]
     figure = style.canvas(8, 6.8)
     axes: Any = figure.add_subplot(projection="3d", computed_zorder=False)
@@ -148,12 +148,12 @@ def _colour(name: str) -> str:
 
 
 def _label(series: Series) -> str:
-    """Return the label of a series; matplotlib leaves out one that begins with an underscore."""
+    """Return the label of a series; matplotlib omits labels that begin with an underscore."""
     return _plain(f" {series.label}" if series.label.startswith("_") else series.label)
 
 
 def _plain(text: str) -> str:
-    """Return a text that is not taken for a formula."""
+    """Escape a text so that it is not treated as a formula."""
     return text.replace("$", r"\$")
 
 

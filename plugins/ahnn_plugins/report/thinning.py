@@ -1,4 +1,4 @@
-"""Curves thinned to what a screen shows: spikes survive, and so does the shape of an orbit at periapsis."""
+"""Thinning of curves to screen resolution, preserving spikes and the shape of orbits at periapsis."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import torch
 from torch import Tensor
 
 MOST = 720
-"""Samples of a curve that a screen tells apart."""
+"""Number of samples distinguishable on a screen."""
 
 
 def extremes(columns: Sequence[Tensor], most: int = MOST) -> Tensor:
-    """Return the numbers of the samples to keep, (K,) int64, increasing, K <= most.
+    """Return the indices of the samples to keep, (K,) int64, increasing, K <= most.
 
-    The samples are cut into stretches of equal length. Each keeps the least and the greatest value of every
-    column, and one NaN if it has any, so that an interruption stays one. The first and the last sample stay.
+    Samples are divided into blocks of equal length. Each keeps the minimum and maximum of every column, and
+    one NaN, if any, so that gaps are preserved. The first and the last sample are kept.
 
     Args:
-        columns: values (T,) that share their samples.
-        most: samples to keep, at least 4 and 3 for each column besides.
+        columns: values (T,) at common samples.
+        most: maximum number of samples, at least 4 plus 3 per column.
 
     Raises:
-        ValueError: so few samples cannot be kept.
+        ValueError: the maximum is too small.
     """
     count = len(columns[0])
     if count <= most:
@@ -39,7 +39,7 @@ def extremes(columns: Sequence[Tensor], most: int = MOST) -> Tensor:
 
 
 def _marked(column: Tensor, rows: Tensor) -> Tensor:
-    """Return the samples that are least, greatest and first missing in each row of samples (N, L)."""
+    """Return the minimum, maximum and first missing sample in each row of samples (N, L)."""
     values = column[rows]
     missing = values.isnan()
     least = values.masked_fill(missing, torch.inf).argmin(1, keepdim=True)
@@ -51,15 +51,15 @@ def _marked(column: Tensor, rows: Tensor) -> Tensor:
 
 
 def along(points: Tensor, most: int = MOST) -> Tensor:
-    """Return the numbers of the samples of a path to keep, (K,) int64, increasing, K <= most.
+    """Return the indices of the samples of a path to keep, (K,) int64, increasing, K <= most.
 
-    They are about equally far apart along the path, whatever the speed: an orbit keeps its periapsis, where a
-    satellite is fast and its samples are few. The extremes of every coordinate and of the distance from the
-    origin stay, and so do the first and the last sample, and one NaN of each interruption.
+    They are about equally spaced along the path, independent of speed: an orbit keeps its periapsis, where a
+    satellite is fast and samples are sparse. Extremes of every coordinate and of the distance from the origin
+    are kept, as are the first and the last sample, and one NaN per gap.
 
     Args:
         points: (T, n); a sample with a NaN interrupts the path.
-        most: samples to keep, at least 8 n and 40.
+        most: maximum number of samples, at least 8 n and 40.
     """
     count = len(points)
     if count <= most:

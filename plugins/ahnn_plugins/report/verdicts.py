@@ -1,9 +1,9 @@
-"""What the runs say of a claim: it holds, it does not hold, or their spread leaves it undecided.
+"""Verdicts on claims from runs: it holds, it does not hold, or it is undecided.
 
-A claim is a set of demands, each that the ratio of two scores lies in an interval. It holds if the whole
-confidence interval of every ratio does: each at the level of the report, which needs no correction, since
-all must pass (an intersection-union test). It does not hold if that of some ratio lies outside entirely, at
-the level divided by the number of demands (Bonferroni), since any one may fail it. All else is undecided.
+A claim is a set of demands, each that the ratio of two scores lies in an interval. It holds if the confidence
+interval of every ratio lies inside: each at the level of the report, without correction, since all must pass
+(an intersection-union test). It does not hold if the interval of some ratio lies entirely outside, at the
+level divided by the number of demands (Bonferroni), since any single one suffices. Otherwise it is undecided.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Answer = Literal["holds", "does not hold", "undecided", "not tested"]
 
 
 class Demand(NamedTuple):
-    """That one score over another lies from `low` to `high`."""
+    """Demand that the ratio of two scores lies from `low` to `high`."""
 
     one: Measure
     other: Measure
@@ -27,14 +27,14 @@ class Demand(NamedTuple):
 
 
 class Claim(NamedTuple):
-    """A statement of the paper.
+    """Claim of the paper.
 
     Attributes:
-        name: anchor.
-        system: that it is about.
-        text: what is said, in our words.
-        source: where the paper says it.
-        demands: what must be so for it to hold.
+        name: anchor name.
+        system: system of the claim.
+        text: paraphrased claim.
+        source: location in the paper.
+        demands: demands that must be met.
     """
 
     name: str
@@ -45,14 +45,14 @@ class Claim(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What the runs and the paper's own numbers say of a demand.
+    """Evidence on a demand from the runs and from the paper's numbers.
 
     Attributes:
-        demand: the demand.
-        ratio: of the runs, with its confidence interval; None where a score is missing.
-        refuted: whether the ratio lies outside what is demanded, with the confidence that this takes.
+        demand: demand under test.
+        ratio: ratio of the runs, with confidence interval; None if a score is missing.
+        refuted: whether the ratio lies outside the demanded interval, at the required confidence.
         runs: number of runs behind numerator and denominator.
-        paper: ratio of the numbers that the paper prints; None where it prints none.
+        paper: ratio of the paper's printed numbers, or None.
     """
 
     demand: Demand
@@ -63,17 +63,17 @@ class Evidence(NamedTuple):
 
     @property
     def met(self) -> bool:
-        """Whether the whole interval lies in what is demanded."""
+        """Whether the confidence interval lies within the demanded one."""
         return self.ratio is not None and self.ratio.within(self.demand.low, self.demand.high)
 
     @property
     def supported(self) -> bool:
-        """Whether the paper's own numbers lie in it."""
+        """Whether the paper's own ratio lies within it."""
         return self.paper is not None and self.demand.low <= self.paper <= self.demand.high
 
 
 class Verdict(NamedTuple):
-    """The answer to a claim, with its evidence and why it is no clearer."""
+    """Verdict on a claim, with evidence and the reason for indecision."""
 
     claim: Claim
     answer: Answer
@@ -87,13 +87,13 @@ def judged(
     paper: Callable[[Measure], float | None],
     confidence: float,
 ) -> Verdict:
-    """Return what samples of scores say of a claim.
+    """Evaluate a claim from samples of scores.
 
     Args:
-        claim: to be judged.
-        scores: sample of a measure, empty where there is none.
-        paper: number of the paper, None where there is none.
-        confidence: such as 0.95.
+        claim: claim to evaluate.
+        scores: function from a measure to its sample, possibly empty.
+        paper: function from a measure to the paper's number, or None.
+        confidence: confidence level, such as 0.95.
     """
     strict = 1 - (1 - confidence) / len(claim.demands)
     found = []
@@ -109,7 +109,7 @@ def judged(
 
 
 def answer(evidence: list[Evidence]) -> Answer:
-    """Return the answer of all evidence."""
+    """Combine all evidence to an answer."""
     if all(each.ratio is None for each in evidence):
         return "not tested"
     if any(each.refuted for each in evidence):
@@ -118,7 +118,7 @@ def answer(evidence: list[Evidence]) -> Answer:
 
 
 def _reason(evidence: list[Evidence]) -> str:
-    """Return why a claim is not decided; "" where it is."""
+    """Return the reason for an undecided claim; "" if decided."""
     if answer(evidence) in ("holds", "does not hold"):
         return ""
     missing = {m for e in evidence if not all(e.runs) for m, n in _counted(e) if not n}

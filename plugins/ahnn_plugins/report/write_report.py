@@ -1,4 +1,4 @@
-"""The report as a whole: runs in, files out."""
+"""Generation of the complete report from runs."""
 
 from __future__ import annotations
 
@@ -32,24 +32,24 @@ class Report:
     """Writes report.html, tables.csv, tables/*.tex and *.md, and figures/*.png and *.svg.
 
     Attributes:
-        confidence: of the intervals that decide orders and claims.
-        figures: whether to draw.
+        confidence: confidence level of rankings and claims.
+        figures: whether to draw figures.
     """
 
     confidence: Annotated[float, Within(above=0.5, below=1)] = 0.95
     figures: bool = True
 
     def __call__(self, folders: Sequence[Path], output: Path) -> str:
-        """Report on runs and return a line on what was written.
+        """Report on runs and return a one-line summary of the output.
 
-        Everything is made before anything is written; files of an earlier report make way.
+        All content is generated before anything is written; files of an earlier report are removed.
 
         Args:
             folders: runs, or folders of runs.
-            output: folder of the report, a new one or that of an earlier report.
+            output: report folder, new or of an earlier report.
 
         Raises:
-            UserError: no runs, a damaged one, a folder of something else, or plotly is missing.
+            UserError: no runs, a damaged run, a folder with other content, or plotly is missing.
         """
         if self.figures:
             require_plotly()
@@ -68,7 +68,7 @@ class Report:
         return f"{count}, {len(drawings)} figures: {output / FILE} ({megabytes:.1f} MB)"
 
     def _files(self, collection: Collection, drawings: list[Picture]) -> dict[str, bytes]:
-        """Return the contents of all files by name, the page first: alone it is a whole report."""
+        """Return the contents of all files by name, the self-contained page first."""
         is_single = len(collection.entries) == 1
         if is_single:
             grids = single.tables(collection)
@@ -104,7 +104,7 @@ def headings(collection: Collection) -> tuple[str, str]:
 
 
 def named(grids: dict[str, list[Grid]]) -> dict[str, Grid]:
-    """Return tables by names fit for files, each its own."""
+    """Return tables by unique file names."""
     found: dict[str, Grid] = {}
     for grid in (grid for each in grids.values() for grid in each):
         name = base = safe_name(grid.name)
@@ -117,13 +117,13 @@ def named(grids: dict[str, list[Grid]]) -> dict[str, Grid]:
 
 
 def clear_earlier(output: Path) -> None:
-    """Remove tables and pictures of an earlier report."""
+    """Remove tables and figures of an earlier report."""
     for path in earlier(output):
         remove_own(path)
 
 
 def earlier(output: Path) -> list[Path]:
-    """Return tables and pictures in the folder of a report, whoever wrote them."""
+    """Return tables and figures in the folder of a report, of any origin."""
     tables = output / "tables"
     found = [p for p in tables.iterdir() if p.suffix in (".tex", ".md")] if tables.is_dir() else []
     return [*pictures_in(output / "figures"), *sorted(found)]

@@ -1,9 +1,9 @@
 """Gauss-Hermite Kalman filter: the moments of a sigma-point filter by a product of quadrature rules.
 
 A rule of p nodes integrates polynomials up to degree 2 p - 1 in each component exactly (Ito & Xiong 2000;
-Arasaratnam, Haykin & Elliott 2007), where unscented points stop at degree three. It takes p to the power of D
-points, all of positive weight, so that factors are triangularised and nothing is subtracted. With three nodes
-and one component the points are those of the unscented filter with kappa = 2.
+Arasaratnam, Haykin & Elliott 2007), while unscented points are exact up to degree three. It requires p^D
+points, all of positive weight, so that factors are triangularised without subtraction. With three nodes and
+one component the points are those of the unscented filter with kappa = 2.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from ahnn.estimation.smoother import backward_law
 from ahnn.types import Flow
 
 MOST = 20_000
-"""Points of one member: 3 nodes for 9 components, 5 for 6."""
+"""Maximum number of points per member: 3 nodes for 9 components, 5 for 6."""
 
 
 class HermiteRule(NamedTuple):
-    """A product of Gauss-Hermite rules for N(0, I), and predictions and updates by it.
+    """Product of Gauss-Hermite rules for N(0, I), and predictions and updates by it.
 
     Attributes:
-        nodes: (S, D), that of the largest weight in front.
-        weights: (S, 1), positive, of sum 1.
+        nodes: (S, D) nodes, that of the largest weight first.
+        weights: (S, 1) positive weights with sum 1.
     """
 
     nodes: Tensor
@@ -48,7 +48,7 @@ class HermiteRule(NamedTuple):
 
     @property
     def rounding(self) -> Rounding:
-        """Nothing is amplified: weights are positive, and covariances are never formed."""
+        """No amplification: weights are positive, and covariances are never formed."""
         return Rounding()
 
     def points(self, belief: Belief) -> Tensor:
@@ -83,7 +83,7 @@ class HermiteRule(NamedTuple):
 
 @cache
 def hermite_rule(order: int, size: int, device: torch.device | None = None) -> HermiteRule:
-    """Return the product of rules of `order` nodes for states of D components.
+    """Build the product of rules of `order` nodes for states of D components.
 
     Raises:
         UserError: more than `MOST` points.
@@ -96,7 +96,7 @@ def hermite_rule(order: int, size: int, device: torch.device | None = None) -> H
         raise UserError(message)
     nodes, weights = np.polynomial.hermite_e.hermegauss(order)
     one, weight = torch.from_numpy(nodes), torch.from_numpy(weights / weights.sum())
-    with torch.inference_mode(mode=False):  # it is kept, and must serve gradients too
+    with torch.inference_mode(mode=False):  # cached, so it must also work with autograd
         places = torch.cartesian_prod(*[torch.arange(order)] * size).reshape(-1, size)
         weighed = weight[places].prod(-1)
         first = weighed.argsort(descending=True, stable=True)
@@ -109,18 +109,18 @@ class GaussHermiteFilter(GaussianFilter):
     """Gauss-Hermite Kalman filter with additive noise for a batch of B members, see `GaussianFilter`.
 
     Attributes:
-        order: nodes in each component, from 2; as many points as its power of D.
-        gate: refuses improbable measurement rows; None takes all.
+        order: number of nodes per component, at least 2; there are order^D points.
+        gate: gate for improbable measurement rows, or None.
 
     Raises:
-        UserError: no whole number from 2 on.
+        UserError: not an integer of at least 2.
     """
 
     order: int = 3
     gate: Gate | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what is no order and no gate."""
+        """Check the order and the gate."""
         super().__post_init__()
         if not isinstance(self.order, int) or self.order < 2:
             message = f"order: expected a whole number >= 2; received {self.order!r}"
@@ -128,7 +128,7 @@ class GaussHermiteFilter(GaussianFilter):
 
     @property
     def name(self) -> str:
-        """What its rows are called."""
+        """Name in tables."""
         return "ghkf"
 
     @property

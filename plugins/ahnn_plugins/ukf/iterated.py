@@ -1,10 +1,10 @@
-"""Iterated smoother: the model is linearised about the smoothed beliefs, not about those of the filter.
+"""Iterated smoother: the model is linearised about the smoothed beliefs instead of the filtered ones.
 
 Iterated posterior linearisation (Garcia-Fernandez, Svensson & Särkkä 2017): flow and measurements are
-replaced by their statistical linear regressions over the last smoothed beliefs, what these leave counts as
-noise, and the Kalman smoother of the affine model gives the next ones. A smoother that is linearised once,
-over a wide early belief, is overconfident there; at the fixed point every regression is over a belief that
-knows all measurements. On a linear system the first iteration is exact and changes nothing.
+replaced by their statistical linear regressions over the last smoothed beliefs, their residual covariance is
+added to the noise, and the Kalman smoother of the affine model gives the next beliefs. A smoother linearised
+once, over a wide early belief, is overconfident there; at the fixed point every regression is over a belief
+given all measurements. On a linear system the first iteration is exact and changes nothing.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from ahnn_plugins.ukf.unscented_kernel import SigmaPoints
 from ahnn_plugins.ukf.unscented_smoother import unscented_smoother
 
 SETTLED = 1e-2
-"""Largest change of a mean, in its standard deviations, that is none."""
+"""Change of a mean, in standard deviations, below which the iteration has converged."""
 
 
 class Iterated(NamedTuple):
-    """What `iterated_smoother` returns.
+    """Result of `iterated_smoother`.
 
     Attributes:
-        smoothed: the beliefs; of a member that an iteration lost, the last sound ones.
-        change: (B,) largest change of a mean in the last iteration, in standard deviations; inf of members
-            that the filter or an iteration has lost.
-        iterations: that were made.
+        smoothed: smoothed beliefs; for a member that failed in an iteration, the last valid ones.
+        change: (B,) largest change of a mean in the last iteration, in standard deviations; inf for members
+            that failed.
+        iterations: number of iterations.
     """
 
     smoothed: SmootherResult
@@ -52,7 +52,7 @@ class Iterated(NamedTuple):
 
     @property
     def settled(self) -> Tensor:
-        """(B,) bool, whether the last iteration changed nothing."""
+        """(B,) bool, whether the iteration converged."""
         return self.change <= SETTLED
 
 
@@ -70,24 +70,24 @@ def iterated_smoother(
     start_time: float = 0.0,
     iterations: int = 10,
 ) -> Iterated:
-    """Return the beliefs given all measurements, relinearised until they settle.
+    """Compute the beliefs given all measurements, relinearised until convergence.
 
     Args:
-        result: of `unscented_filter` with `smoothing=True` from a belief, where the iterations begin. Rows
-            that its gate refused stay refused.
-        flow: the process model; this and what follows as the filter had it.
+        result: result of `unscented_filter` with `smoothing=True` from a belief, used as initial iterate.
+            Rows rejected by its gate stay rejected.
+        flow: process model; this and the following arguments as for the filter.
         measurements: (B, T, M), NaN where a component is missing.
-        measurement: the model of the measurements.
-        process_noise: Q of one step, or a function of its length.
-        measurement_noise: R.
+        measurement: measurement model.
+        process_noise: covariance Q of one step, or a function of its length.
+        measurement_noise: covariance R.
         dt: length of every step, or (T,) lengths.
-        parameters: of the sigma points of the regressions; None takes the defaults.
+        parameters: sigma point parameters of the regressions; None for the defaults.
         start_time: time of the initial belief.
-        iterations: at most.
+        iterations: maximum number of iterations.
 
     Raises:
-        ValueError: no backward kernels in the result, other arguments than the filter takes, or parameters
-            that leave negative weights.
+        ValueError: no backward kernels in the result, arguments invalid for the filter, or parameters with
+            negative weights.
     """
     guess = unscented_smoother(result)
     there = (result.status == Status.OK).nonzero().flatten()
@@ -121,7 +121,7 @@ def iterated_smoother(
 def _settled(
     current: SmootherResult, relinearised: Callable[[SmootherResult], SmootherResult], iterations: int
 ) -> tuple[SmootherResult, Tensor, int]:
-    """Iterate until nothing changes; return what there is, the last change (B,), and how many it were."""
+    """Iterate until convergence; return the result, the last change (B,), and the number of iterations."""
     change, count = torch.full_like(current.means[:, 0, 0], 2 * SETTLED), 0
     while count < iterations and bool(((change > SETTLED) & change.isfinite()).any()):
         new, count = relinearised(current), count + 1
@@ -131,7 +131,7 @@ def _settled(
 
 
 def _change(old: SmootherResult, new: SmootherResult) -> Tensor:
-    """Return the largest change of a mean, (B,), in its standard deviations; inf of members that are lost."""
+    """Return the largest change of a mean, (B,), in its standard deviations; inf for failed members."""
     start = (new.initial.mean - old.initial.mean) / deviations(new.initial.chol)
     later = (new.means - old.means) / deviations(new.chols)
     change = torch.cat((start.unsqueeze(1), later), dim=1).abs().amax((1, 2))
@@ -148,13 +148,13 @@ def _members(belief: Belief, rows: Tensor) -> Belief:
 
 
 def _of(smoothed: SmootherResult, rows: Tensor) -> SmootherResult:
-    """Return what is smoothed of some of the members."""
+    """Return the smoothed beliefs of selected members."""
     initial, *others = smoothed
     return SmootherResult(_members(initial, rows), *(part[rows] for part in others))
 
 
 def _chosen(better: Tensor, yes: SmootherResult, no: SmootherResult) -> SmootherResult:
-    """Return moments picked member by member, better (B,) bool; status and repairs are those of `no`."""
+    """Select moments member by member, better (B,) bool; status and repairs are those of `no`."""
     column = better[:, None, None]
     return no._replace(
         initial=choose(better, yes.initial, no.initial),
@@ -164,7 +164,7 @@ def _chosen(better: Tensor, yes: SmootherResult, no: SmootherResult) -> Smoother
 
 
 def _spread(part: SmootherResult, rows: Tensor, whole: SmootherResult) -> SmootherResult:
-    """Return the moments of all members, those of some of them replaced."""
+    """Return the moments of all members, with some of them replaced."""
     initial = Belief(*(w.index_copy(0, rows, p) for w, p in zip(whole.initial, part.initial, strict=True)))
     means, chols = whole.means.index_copy(0, rows, part.means), whole.chols.index_copy(0, rows, part.chols)
     return whole._replace(initial=initial, means=means, chols=chols)

@@ -1,4 +1,4 @@
-"""The C library of the square-root form."""
+"""C library of the square-root form."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ SIGNATURES = {
     "ahnn_read": (N, N, N, P, P, P, N, P, N, P, P, P, P, P, P, P),
     "ahnn_whole": (N, N, N, P, P, P, P, N, P, N, P, P, N, R, P, P, P, P, P, P, P, P, P, P, P),
 }
-"""Arguments of its functions: addresses and numbers."""
+"""Argument types of its functions: addresses and numbers."""
 
 
 @cache
 def library() -> ctypes.CDLL | None:
-    """Return the library, or None where there is no C compiler; the filter is slower without it."""
+    """Return the C library, or None without a C compiler; the filter is then slower."""
     return compiled_library(Path(__file__).with_name("members.c"), SIGNATURES, "the filter")

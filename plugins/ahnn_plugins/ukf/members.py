@@ -1,7 +1,7 @@
-"""The square-root form in C, many members at a time: the same results as in torch, to rounding.
+"""Square-root form in C, batched over members, with the same results as in torch, to rounding.
 
-For what stays on the CPU and needs no gradient. Between two calls of the flow torch has some hundred small
-operations, each of which costs more than its arithmetic; here they are three or four.
+Used on the CPU without gradients. Between two calls of the flow torch executes about a hundred small
+operations dominated by overhead; here there are three or four.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from ahnn_plugins.ukf.library import library
 from ahnn_plugins.ukf.parameters import Residual, SigmaWeights
 
 SOUND, NO_MEMORY = 0, 2
-"""What the functions of the library return."""
+"""Return codes of the library's functions."""
 
 
 def apply_to(weights: SigmaWeights, *tensors: Tensor) -> bool:
-    """Return whether the library does these: plain float64 on the CPU, of which nobody wants a derivative."""
+    """Return whether the library supports tensors: plain float64 on the CPU, without derivatives."""
     if weights.downdate is not None or followed():
         return False
     graph, given = torch.is_grad_enabled(), (*tensors, weights.outer)
@@ -63,7 +63,7 @@ def update(
     shapes, own = (batch, size, width), (weights.outer, weights.recentring, _step(weights.outer))
     _call("ahnn_joint", *shapes, outer, y, complete, chol, step, *own, noise, noise_step, shift, joint)
     y_pred = images[:, 0] + shift
-    # What is missing is filled in: a residual may mix components.
+    # Missing components are filled in, since a residual may mix components.
     told = residual(y if complete else torch.where(present, y, y_pred), y_pred)
     innovation = torch.empty_like(y).copy_(told)
     results = _results(prior, innovation)
@@ -72,7 +72,7 @@ def update(
 
 
 def read(prior: Belief, y: Tensor, chol_r: Tensor) -> Updated:
-    """Return the posterior of a row y (B, M) of the first M components of the state, NaN where missing."""
+    """Return the posterior given a row y (B, M) of the first M components of the state, NaN where missing."""
     y, mean = y.contiguous(), prior.mean.contiguous()
     (chol, step), (noise, noise_step) = _members(prior.chol), _members(chol_r)
     results = _results(prior, torch.empty_like(y))
@@ -81,13 +81,13 @@ def read(prior: Belief, y: Tensor, chol_r: Tensor) -> Updated:
 
 
 class StepNoise(NamedTuple):
-    """Noise and limits of a step, as the library takes them.
+    """Noise and limits of a step in the library's format.
 
     Attributes:
         process: address of the factor of the process noise, and the step between members.
-        measured: the same of the measurement noise, the largest NIS that is taken, and the address of half
-            the periods of the numbers.
-        tensors: own the memory of the addresses.
+        measured: the same for the measurement noise, the largest accepted NIS, and the address of the
+            half-periods.
+        tensors: tensors that own the memory.
     """
 
     process: tuple[int, int]
@@ -96,13 +96,13 @@ class StepNoise(NamedTuple):
 
     @classmethod
     def of(cls, chol_q: Tensor, chol_r: Tensor, limit: float, half: Tensor) -> StepNoise:
-        """Return the noise of a step.
+        """Build the noise of a step.
 
         Args:
             chol_q: (B, D, D) lower factor of the process noise.
             chol_r: (B, M, M) lower factor of the measurement noise.
-            limit: largest NIS that is taken.
-            half: (M,) half periods of the numbers, inf of those that are no angles; larger residuals wrap.
+            limit: largest accepted NIS.
+            half: (M,) half-periods of the components, inf for non-angles; larger residuals are wrapped.
         """
         (q, q_step), (r, r_step) = _members(chol_q), _members(chol_r)
         read = r.data_ptr(), r_step, limit, half.data_ptr()
@@ -110,12 +110,12 @@ class StepNoise(NamedTuple):
 
 
 class Memory:
-    """What the whole steps of a run make, step by step.
+    """Storage for the results of fused steps of a run.
 
     Args:
         rows: (B, T, M) measurements.
-        size: D.
-        weights: of the sigma points.
+        size: dimension D.
+        weights: sigma point weights.
     """
 
     def __init__(self, rows: Tensor, size: int, weights: SigmaWeights) -> None:
@@ -132,16 +132,16 @@ class Memory:
         self.scales = *(scale.data_ptr() for scale in scales), _step(weights.outer)
 
     def step(self, k: int, points: Tensor, noise: StepNoise, *, measured: bool) -> Tensor | None:
-        """Do what `predict`, `read` and `draw` do, one after the other.
+        """Execute `predict`, `read` and `draw` in sequence.
 
         Args:
-            k: number of the step.
+            k: step index.
             points: (B, S, D) sigma points after the flow.
-            noise: of the step.
-            measured: whether there is a row to read, with nothing missing.
+            noise: noise of the step.
+            measured: whether there is a complete row.
 
         Returns:
-            The sigma points of the next step; None where a member is not sound.
+            The sigma points of the next step; None if a member is invalid.
         """
         points = points.contiguous()
         further = torch.empty_like(points)
@@ -157,7 +157,7 @@ class Memory:
 
 
 def _results(prior: Belief, innovation: Tensor) -> tuple[Tensor, ...]:
-    """Return memory for what an update tells, innovations in front."""
+    """Allocate memory for the results of an update, innovations first."""
     (batch, size), new = prior.mean.shape, innovation.new_empty
     state = new(batch, size), new(batch, size, size)
     singular = new(batch, dtype=torch.bool)
@@ -170,7 +170,7 @@ def _updated(sound: bool, results: tuple[Tensor, ...]) -> Updated:
 
 
 def _members(matrices: Tensor) -> tuple[Tensor, int]:
-    """Return matrices whose rows follow one another, and the step between members, 0 where they share one."""
+    """Return contiguous matrices, and the stride between members, 0 if shared."""
     size = matrices.shape[-1]
     if matrices.stride()[1:] != (size, 1):
         matrices = matrices.contiguous()
@@ -178,15 +178,15 @@ def _members(matrices: Tensor) -> tuple[Tensor, int]:
 
 
 def _step(weight: Tensor) -> int:
-    """Return the step between the members' own weights, 0 where they share one."""
+    """Return the stride between the members' weights, 0 if shared."""
     return int(len(weight) > 1)
 
 
 def _call(name: str, *arguments: Tensor | float) -> bool:
-    """Call a function of the library with the addresses of tensors; return whether all members are sound.
+    """Call a function of the library with the addresses of tensors; return whether all members are valid.
 
     Raises:
-        MemoryError: it found none for a block of members.
+        MemoryError: no memory for a block of members.
     """
     return _done(name, *(a.data_ptr() if isinstance(a, Tensor) else a for a in arguments))
 

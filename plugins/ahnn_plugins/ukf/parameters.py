@@ -1,4 +1,4 @@
-"""What is of sigma points alone: their parameters, their weights, and the forms of the covariance."""
+"""Parameters and weights of sigma points, and interfaces of covariance forms."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from ahnn.estimation.results import Predicted, Updated
 class UnscentedParameters(NamedTuple):
     """Parameters of the scaled unscented transformation (Wan & van der Merwe 2000).
 
-    Each is one number, or a (B,) tensor with one value per member. The defaults give no negative weight;
-    beta = 2 is optimal for Gaussian beliefs.
+    Each is a number, or a (B,) tensor with one value per member. The defaults give no negative weight; beta =
+    2 is optimal for Gaussian beliefs.
     """
 
     alpha: float | Tensor = 1.0
@@ -31,17 +31,17 @@ class SigmaWeights(NamedTuple):
         sum_i Wc_i (Y_i - mean)(Y_i - mean)ᵀ
             = outer * sum_{i>0} (e_i - recentring * shift)(...)ᵀ - downdate * shift shiftᵀ
 
-    exactly, and nothing is left to subtract whenever alpha² kappa + D beta >= 0.
+    exactly, without any subtraction if alpha² kappa + D beta >= 0.
 
     Attributes:
-        radius: sqrt(D + lambda), distance of the points in standard deviations.
-        outer: W_i of every point but the centre, mean and covariance alike.
+        radius: sqrt(D + lambda), distance of the points, in standard deviations.
+        outer: weight W_i of all points except the centre, for mean and covariance.
         mean_centre: W_m0.
         covariance_centre: W_c0.
-        recentring: fraction of the shift that the deviations lose.
-        downdate: what is left to subtract; None if nothing is, for any member.
-        crowding: D / radius², by which the mean amplifies rounding, of members whose points lie so close that
-            it matters, 0 of the others; None if it matters for no member.
+        recentring: fraction of the shift subtracted from the deviations.
+        downdate: factor of the remaining subtraction; None if zero for all members.
+        crowding: D / radius², by which the mean amplifies rounding, for members with closely spaced points, 0
+            for others; None if negligible for all.
     """
 
     radius: Tensor
@@ -86,22 +86,22 @@ class Update(Protocol):
 
 
 class Read(Protocol):
-    """Condition a prior on a row y (B, M) of the first M components of the state, without points."""
+    """Condition a prior on a row y (B, M) of the first M components of the state, without sigma points."""
 
     def __call__(self, prior: Belief, y: Tensor, weights: SigmaWeights, chol_r: Tensor) -> Updated | None:
-        """Return the posterior, or None where only points give it."""
+        """Return the posterior, or None if sigma points are required."""
         ...
 
 
 class Form(NamedTuple):
-    """A way to carry the covariance: the functions that the loop over time calls.
+    """Form of the covariance: the functions called by the time loop.
 
     Attributes:
-        name: for messages.
+        name: name for messages.
         predict: see `Predict`.
         update: see `Update`.
-        squares: whether covariances are formed, which loses digits and needs a definite measurement noise.
-        read: see `Read`; None where there is none.
+        squares: whether covariances are formed, which loses digits and requires definite measurement noise.
+        read: see `Read`; or None.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""The unscented Kalman filter as an evaluation of a trained model; `plugins=ukf`."""
+"""Evaluation plugin of the unscented Kalman filter: `plugins=ukf`."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from ahnn_plugins.ukf.unscented_filter import UnscentedKalmanFilter
 @final
 @checked
 class UKFEvaluation(EstimatorEvaluation):
-    """Unscented Kalman filter with the model as its process model, beside one with the exact dynamics.
+    """Unscented Kalman filter with the model as process model, and with the exact dynamics.
 
     Args:
-        cadence: this and what is not said here as of `EstimatorEvaluation`.
+        cadence: this and undocumented arguments as in `EstimatorEvaluation`.
         alpha, beta, kappa: parameters of the sigma points.
-        form: how covariances are carried.
-        smoother: whether to add the rows of the smoother; `iterated` adds those of the iterated one too.
-        tuning: options of `Tuning`, to add the rows of a tuned filter; None leaves them out.
-        name: what its rows are called, and its node of the configuration.
+        form: form of the covariance.
+        smoother: whether to add the rows of the smoother; `iterated` also adds those of the iterated one.
+        tuning: options of `Tuning`, to add the rows of a tuned filter; None for no tuning.
+        name: name in tables and of the configuration node.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class UKFEvaluation(EstimatorEvaluation):
             self.tuning = Tuning(**tuning)
 
     def require_constants(self, setting: Setting, steps: int, size: int) -> None:
-        """Refuse sigma points that there are none of, and a tuning that sees no measurement."""
+        """Check that sigma points exist, and that tuning uses some measurement."""
         if self.tuning is not None and (self.tuning.steps or steps) < setting.first:
             first = f"{setting.first}, when the first measurement comes"
             message = f"tuning.steps: expected at least {first}; received {self.tuning.steps}"
@@ -99,7 +99,7 @@ class UKFEvaluation(EstimatorEvaluation):
     def tried(
         self, model: Filter, case: Case, setting: Setting, findings: Findings
     ) -> list[tuple[Who, Filter]]:
-        """Return the tuned filter, if it is asked for."""
+        """Return the tuned filter, if requested."""
         if (options := self.tuning) is None:
             return []
         parts = self.arcs(case, setting, options.trajectories, options.steps, self.seed + 3)
@@ -108,6 +108,6 @@ class UKFEvaluation(EstimatorEvaluation):
         return [(Who(MODEL, "true", f"{self.estimator.name}_tuned"), tuned.apply(model))]
 
     def settings(self, setting: Setting) -> dict[str, Any]:
-        """Return what was assumed, for metrics.json."""
+        """Return the assumptions, for metrics.json."""
         own = {"form": self.estimator.about["form"], "parameters": self.parameters._asdict()}
         return super().settings(setting) | own

@@ -1,9 +1,9 @@
 """Statistical linear regression of a flow and of a measurement over Gaussian beliefs, by sigma points.
 
 Over x ~ N(mean, P) a function f is replaced by A x + b + noise of covariance Omega, with A = C P⁻¹ of the
-covariance C of f(x) and x, b and Omega such that mean and covariance of f(x) are kept (Arasaratnam, Haykin &
-Elliott 2007). With sums and differences of opposite points no covariance is formed: the differences are the
-factor of P times Aᵀ, and the sums, even in the deviation, are what a line leaves.
+covariance C of f(x) and x, b and Omega such that mean and covariance of f(x) are preserved (Arasaratnam,
+Haykin & Elliott 2007). With sums and differences of opposite points no covariance is formed: the differences
+are the factor of P times Aᵀ, and the sums, even in the deviation, give the residual covariance.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ class AffineModel(NamedTuple):
     """f(x) = slope x + offset + noise.
 
     Attributes:
-        slope: (B, N, D).
-        offset: (B, N).
+        slope: (B, N, D) matrix A.
+        offset: (B, N) vector b.
         rest: (B, D, N) rows, the covariance of the noise is restᵀ rest.
     """
 
@@ -37,7 +37,7 @@ class AffineModel(NamedTuple):
     rest: Tensor
 
     def __call__(self, x: Tensor) -> Tensor:
-        """Return the line (B, S, N) at x, shape (B, S, D)."""
+        """Evaluate the affine model at x, shape (B, S, D); return (B, S, N)."""
         return x @ self.slope.mT + self.offset.unsqueeze(1)
 
 
@@ -47,7 +47,7 @@ def regression_weights(
     """Return the weights of the sigma points for states of D components.
 
     Raises:
-        UserError: no sigma points, or negative weights: what a line leaves could be negative.
+        UserError: no sigma points, or negative weights, with which Omega could be indefinite.
     """
     weights = unscented_weights(parameters, size, device)
     if weights.downdate is not None:
@@ -63,10 +63,10 @@ def regression(belief: Belief, centre: Tensor, outer: Tensor, weights: SigmaWeig
     """Return the regression of a function over a belief.
 
     Args:
-        belief: (B, D).
+        belief: belief of dimension D.
         centre: (B, N) image of the mean.
-        outer: (B, 2 D, N) images of the other sigma points less that of the mean.
-        weights: of the points, none of them negative.
+        outer: (B, 2 D, N) images of the other sigma points minus that of the mean.
+        weights: non-negative sigma point weights.
     """
     shift = weights.outer * outer.sum(1, keepdim=True)
     deviations = (outer - weights.recentring * shift) * (0.5 * weights.outer).sqrt()
@@ -79,19 +79,19 @@ def regression(belief: Belief, centre: Tensor, outer: Tensor, weights: SigmaWeig
 def linear_flow(
     flow: Flow, dt: float, belief: Belief, weights: SigmaWeights, chol_q: Tensor
 ) -> tuple[Flow, Tensor]:
-    """Return the regression of a step of the flow, and the factor of its noise and Q together (B, D, D)."""
+    """Return the regression of a step of the flow, and the factor of its noise plus Q (B, D, D)."""
     points = draw(belief, weights)
     images = flow(points.flatten(0, 1), dt).to(points.dtype).reshape(points.shape)
     affine = regression(belief, images[:, 0], images[:, 1:] - images[:, :1], weights)
 
-    def line(x: Tensor, dt: TimeStep) -> Tensor:  # noqa: ARG001 - of this step alone
+    def line(x: Tensor, dt: TimeStep) -> Tensor:  # noqa: ARG001 - specific to this step
         return affine(x.unflatten(0, (len(belief.mean), -1))).flatten(0, 1)
 
     return line, tria(torch.cat((affine.rest, chol_q.mT), dim=1))
 
 
 def linear_sensor(sensor: SensorModel, t: float, belief: Belief, weights: SigmaWeights) -> SensorModel:
-    """Return a sensor whose model is the regression of another's at a time, its noise added to R."""
+    """Return a sensor with the regression of a model at a given time, and its noise added to R."""
     images = sensor.measurement(draw(belief, weights), t)
     outer = residual(sensor.measurement, images[:, 1:], images[:, :1])
     affine = regression(belief, images[:, 0], outer, weights)
@@ -100,7 +100,7 @@ def linear_sensor(sensor: SensorModel, t: float, belief: Belief, weights: SigmaW
 
 
 class _Line:
-    """A measurement model that is a line of the states of B members; its differences are the model's."""
+    """Affine measurement model of B members, with residuals of the original model."""
 
     def __init__(self, affine: AffineModel, model: Measurement) -> None:
         self.affine, self.model, self.names, self.units = affine, model, model.names, model.units
@@ -111,5 +111,5 @@ class _Line:
         return self.affine(x)
 
     def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return y - y_pred as the model has it."""
+        """Return y - y_pred as defined by the model."""
         return residual(self.model, y, y_pred)

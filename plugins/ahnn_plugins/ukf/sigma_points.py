@@ -1,4 +1,4 @@
-"""Weights and points of the scaled unscented transformation (Wan & van der Merwe 2000)."""
+"""Weights and sigma points of the scaled unscented transformation (Wan & van der Merwe 2000)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ahnn_plugins.ukf import members
 from ahnn_plugins.ukf.parameters import SigmaWeights, UnscentedParameters
 
 CROWDED = 100.0
-"""Amplification of rounding, D / (D + lambda), beyond which it is watched: alpha < 0.1 for kappa = 0."""
+"""Amplification of rounding, D / (D + lambda), above which it is monitored: alpha < 0.1 for kappa = 0."""
 
 
 def unscented_weights(
@@ -25,9 +25,9 @@ def unscented_weights(
 
     Args:
         parameters: alpha, beta and kappa, each a number or a (B,) tensor.
-        size: D.
-        device: of the weights.
-        batch: B.
+        size: dimension D.
+        device: device of the weights.
+        batch: number of members B.
 
     Raises:
         UserError: a parameter is not finite or not of length 1 or B, or D + lambda = alpha² (D + kappa)

@@ -1,9 +1,8 @@
-"""Square-root form: covariances are only ever carried as triangular factors.
+"""Square-root form: covariances are represented by triangular factors only.
 
-After van der Merwe & Wan 2001, with two changes that make it sturdier: the negative centre weight is
-absorbed into the deviations (see `Weights`), and the update triangularises state and measurement
-together, as array filters do (Kailath, Sayed & Hassibi 2000, chapter 12), instead of downdating column by
-column.
+After van der Merwe & Wan 2001, with two changes for numerical robustness: the negative centre weight is
+absorbed into the deviations (see `Weights`), and the update triangularises state and measurement together, as
+in array filters (Kailath, Sayed & Hassibi 2000, chapter 12), instead of downdating column by column.
 """
 
 from __future__ import annotations
@@ -20,11 +19,11 @@ from ahnn_plugins.ukf.parameters import Form, Residual, SigmaWeights
 
 
 def predict(propagated: Tensor, weights: SigmaWeights, chol_q: Tensor) -> Predicted:
-    """Return the belief whose moments are those of the propagated sigma points, plus Q.
+    """Return the belief with the moments of the propagated sigma points, plus Q.
 
     Args:
         propagated: (B, S, D) sigma points after the flow.
-        weights: of the points.
+        weights: sigma point weights.
         chol_q: (B, D, D) lower factor of the process noise.
     """
     if members.apply_to(weights, propagated, chol_q):
@@ -43,15 +42,15 @@ def update(
 ) -> Updated:
     """Return the posterior given the components of y that are not NaN.
 
-    A missing component has deviation zero and variance one, hence no correlation with anything: the result
-    is that of the measurement without it, and the batch stays rectangular.
+    A missing component has deviation zero and variance one, hence no correlation: the result equals that of
+    the measurement without it, and the batch stays rectangular.
 
     Args:
         prior: belief from which the points were drawn.
         images: (B, S, M) sigma points through the measurement model.
         y: (B, M), NaN where missing.
         residual: difference of two measurements.
-        weights: of the points.
+        weights: sigma point weights.
         chol_r: (B, M, M) lower factor of the measurement noise.
     """
     if members.apply_to(weights, prior.mean, prior.chol, images, y, chol_r):
@@ -63,7 +62,7 @@ def update(
         outer = torch.where(column, outer, 0.0)
     shift = weights.outer * outer.sum(1, keepdim=True)
     y_pred = images[:, 0] + shift[:, 0]
-    # What is missing is filled in: a residual may mix components, and NaN would spoil its gradient.
+    # Missing components are filled in: a residual may mix components, and NaN would spoil its gradient.
     innovation = residual(y if complete else torch.where(present, y, y_pred), y_pred)
     if not complete:
         innovation = torch.where(present, innovation, 0.0)
@@ -72,16 +71,16 @@ def update(
 
 
 def read(prior: Belief, y: Tensor, weights: SigmaWeights, chol_r: Tensor) -> Updated | None:
-    """Return the posterior given the first components of the state, of which points tell nothing new.
+    """Return the posterior given the first components of the state, without using sigma points.
 
     Args:
-        prior: the belief.
+        prior: prior belief.
         y: (B, M), NaN where missing.
-        weights: of the points that `update` would take.
+        weights: sigma point weights for `update`.
         chol_r: (B, M, M) lower factor of the measurement noise.
 
     Returns:
-        None where the library does not do it.
+        None if not supported by the library.
     """
     if weights.crowding is not None or y.shape[-1] > prior.mean.shape[-1]:
         return None
@@ -103,11 +102,11 @@ def joint_factor(
         outer: (B, 2 D, N) deviations of the images of the outer points from the image of the centre.
         shift: (B, 1, N) mean of the image minus the image of the centre.
         chol: (B, D, D) lower factor of the state from which the points were drawn.
-        weights: of the points.
+        weights: sigma point weights.
         noise_rows: (B, K, N), noise covariance = noise_rowsᵀ noise_rows.
 
     Returns:
-        The factor, and which members needed a repair, (B,) bool, or None.
+        The factor, and repaired members, (B,) bool, or None.
     """
     deviations = outer - weights.recentring * shift
     plus, minus = (deviations * (0.5 * weights.outer).sqrt()).chunk(2, dim=1)
@@ -118,10 +117,10 @@ def joint_factor(
 
 
 def _lowered(chol: Tensor, shift: Tensor, weights: SigmaWeights) -> tuple[Tensor, Tensor | None]:
-    """Subtract what negative weights leave; where that is impossible leave it out and report a repair.
+    """Subtract the remainder of negative weights; if impossible, omit it and report a repair.
 
-    Where it would leave a variance that is not positive, the factor is zero and no repair is reported, as in
-    the standard form.
+    If a variance would not be positive, the factor is zero and no repair is reported, as in the standard
+    form.
     """
     if weights.downdate is None:
         return chol, None

@@ -1,8 +1,7 @@
-"""Standard form: covariances are formed, as in the textbook (Wan & van der Merwe 2000, algorithm 3.1).
+"""Standard form: explicit covariances, as in the textbook (Wan & van der Merwe 2000, algorithm 3.1).
 
-Here as a reference and for teaching. A covariance that is no longer positive definite is mended, and the
-mending is reported for the member that it happened to. One with a variance that is not positive cannot be
-mended: the member collapses.
+For reference and teaching. A covariance that is no longer positive definite is repaired, and the repair is
+reported for its member. A variance that is not positive cannot be repaired: the member collapses.
 """
 
 from __future__ import annotations
@@ -19,11 +18,11 @@ from ahnn_plugins.ukf.parameters import Form, Residual, SigmaWeights
 
 
 def predict(propagated: Tensor, weights: SigmaWeights, chol_q: Tensor) -> Predicted:
-    """Return the belief whose moments are those of the propagated sigma points, plus Q.
+    """Return the belief with the moments of the propagated sigma points, plus Q.
 
     Args:
         propagated: (B, S, D) sigma points after the flow.
-        weights: of the points.
+        weights: sigma point weights.
         chol_q: (B, D, D) lower factor of the process noise.
     """
     outer = propagated[:, 1:] - propagated[:, :1]
@@ -40,7 +39,7 @@ def update(
     present = ~torch.isnan(y)
     outer = torch.where(present.unsqueeze(1), residual(images[:, 1:], images[:, :1]), 0.0)
     y_pred, deviations = _centred(outer, images[:, 0], weights)
-    # What is missing is filled in: a residual may mix components, and NaN would spoil its gradient.
+    # Missing components are filled in: a residual may mix components, and NaN would spoil its gradient.
     innovation = torch.where(present, residual(torch.where(present, y, y_pred), y_pred), 0.0)
     pairs = present.unsqueeze(-1) & present.unsqueeze(-2)
     noise = torch.where(pairs, chol_r @ chol_r.mT, torch.diag_embed((~present).to(y.dtype)))
@@ -57,10 +56,10 @@ def update(
     chol, repaired_x = cholesky_repaired(_symmetric(prior.covariance - whitened @ whitened.mT))
     nis = white.square().sum((-2, -1))
     diagonal = torch.diagonal(chol_y, dim1=-2, dim2=-1)
-    # An integer tensor times a float would be float32.
+    # An integer tensor times a float would become float32.
     count = present.sum(-1).to(nis.dtype)
     log_likelihood = -0.5 * (nis + count * math.log(2.0 * math.pi)) - diagonal.log().sum(-1)
-    # The factor of a covariance with a variance that is not positive is zero.
+    # A covariance with a variance that is not positive has a zero factor.
     lost = (torch.diagonal(chol, dim1=-2, dim2=-1) == 0.0).any(-1)
     singular = (diagonal == 0.0).any(-1) | lost
     repairs = repaired_x.to(torch.int64) + repaired_y
@@ -71,8 +70,8 @@ def update(
 def _centred(outer: Tensor, centre: Tensor, weights: SigmaWeights) -> tuple[Tensor, Tensor]:
     """Return the weighted mean (B, N), and the deviations (B, S, N) of all points from it.
 
-    The mean is centre + W sum e_i, which equals the weighted sum because the weights add up to one, and does
-    not cancel when the centre weight is large and negative.
+    The mean is centre + W sum e_i, which equals the weighted sum because the weights add up to one, and
+    avoids cancellation for large negative centre weights.
     """
     shift = weights.outer * outer.sum(1, keepdim=True)
     return centre + shift[:, 0], torch.cat((-shift, outer - shift), dim=1)

@@ -1,7 +1,7 @@
-"""The paper's way to a good filter: search its constants for the smallest error on validation arcs.
+"""Tuning of a filter as in the paper: search of constants for the smallest error on validation arcs.
 
-Tree-structured Parzen estimator over alpha, beta, kappa and one factor each for Q and R. A batch of trials is
-asked for at once, with a constant liar in place of the results still missing, and filtered as one batch.
+Tree-structured Parzen estimator over alpha, beta, kappa and one factor each for Q and R. Trials are requested
+in batches, with a constant liar for pending results, and filtered as one batch.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ LOGARITHMIC = ("alpha", "scale_q", "scale_r")
 
 Factors = Annotated[tuple[float, float] | list[float], Interval(Within(above=0))]
 LOST = 1e12
-"""Objective of a trial that loses a member: finite, so that the sampler learns from it."""
+"""Objective of a trial with a failed member: finite, so that the sampler learns from it."""
 
 
 class Ranges(NamedTuple):
-    """What may be searched, [low, high]; the last two are factors of Q and R."""
+    """Search ranges [low, high]; the last two are factors of Q and R."""
 
     alpha: Factors | None = None
     beta: Range | None = None
@@ -53,15 +53,15 @@ class Ranges(NamedTuple):
 @checked
 @dataclass(frozen=True)
 class Tuning:
-    """How much is searched.
+    """Extent of the search.
 
     Attributes:
-        ranges: [low, high] of each constant that is searched; the others keep their values.
-        trials: filters that are tried.
-        trajectories: validation trajectories, one arc of each.
-        steps: length of an arc; None takes whole trajectories.
-        batch: trials that are filtered together.
-        seed: of the sampler.
+        ranges: [low, high] of each searched constant; others are fixed.
+        trials: number of filters tried.
+        trajectories: number of validation trajectories, with one arc each.
+        steps: number of steps per arc; None for whole trajectories.
+        batch: number of trials filtered together.
+        seed: seed of the sampler.
     """
 
     ranges: dict[str, list[float]]
@@ -72,7 +72,7 @@ class Tuning:
     seed: Seed
 
     def __post_init__(self) -> None:
-        """Refuse ranges that are none; raises UserError."""
+        """Raise UserError for invalid ranges."""
         check_arguments("ranges", Ranges, self.ranges)
 
     def space(self) -> dict[str, BaseDistribution]:
@@ -86,7 +86,7 @@ class Tuning:
 
 
 class Tuned(NamedTuple):
-    """Result of a search: the best values, their objective, and that of the values it began with."""
+    """Result of a search: the best values, their objective, and that of the initial values."""
 
     values: dict[str, float]
     objective: float
@@ -100,13 +100,13 @@ class Tuned(NamedTuple):
 
 
 def tune(chosen: Filter, setting: Setting, problem: Problem, options: Tuning) -> Tuned:
-    """Search the constants of a filter, beginning with its own.
+    """Search the constants of a filter, starting from its own.
 
     Args:
-        chosen: the filter with its untuned constants.
-        setting: measurements and P0.
+        chosen: filter with its untuned constants.
+        setting: measurement settings and P0.
         problem: V validation arcs.
-        options: how much is searched.
+        options: extent of the search.
     """
     study, space = _study(options.seed), options.space()
     study.enqueue_trial(_begin(chosen, options))
@@ -123,7 +123,7 @@ def tune(chosen: Filter, setting: Setting, problem: Problem, options: Tuning) ->
 
 
 def points_of(chosen: Filter) -> UnscentedKalmanFilter:
-    """Return the estimator of a filter, whose sigma points are searched."""
+    """Return the estimator of a filter, with the sigma points to be searched."""
     return cast(UnscentedKalmanFilter, chosen.estimator)
 
 
@@ -133,16 +133,16 @@ def with_points(chosen: Filter, parameters: UnscentedParameters) -> Filter:
 
 
 def own_values(chosen: Filter) -> dict[str, float]:
-    """Return the constants of a filter as the search names them; the factors of Q and R are 1."""
+    """Return the constants of a filter by search name; the factors of Q and R are 1."""
     parameters = {name: float(value) for name, value in points_of(chosen).parameters._asdict().items()}
     return {**parameters, "scale_q": 1.0, "scale_r": 1.0}
 
 
 def _begin(chosen: Filter, options: Tuning) -> dict[str, float]:
-    """Return the first trial, the constants that the filter has.
+    """Return the first trial, with the filter's own constants.
 
     Raises:
-        UserError: one lies outside its range.
+        UserError: a constant outside its range.
     """
     own = own_values(chosen)
     for name, (low, high) in options.ranges.items():
@@ -158,10 +158,10 @@ def _begin(chosen: Filter, options: Tuning) -> dict[str, float]:
 def objectives(
     chosen: Filter, setting: Setting, problem: Problem, trials: list[dict[str, float]]
 ) -> list[float]:
-    """Return the objective of each trial, all of them filtered in one batch.
+    """Return the objectives of trials, filtered in one batch.
 
     The objective is the RMSE of the position plus that of the velocity, each component in units of its
-    initial standard deviation, from the first update on: what is before it no filter can change.
+    initial standard deviation, from the first update on, since earlier errors do not depend on the filter.
     """
     count, (batch, _, size) = len(trials), problem.truth.shape
     trials = [own_values(chosen) | trial for trial in trials]
@@ -185,20 +185,20 @@ def objectives(
 
 
 def tuned_once(chosen: Filter, setting: Setting, problem: Problem, options: Tuning, path: Path) -> Tuned:
-    """Return the tuned constants that a file holds for this very search, or search and write them."""
+    """Return the tuned constants stored for an identical search, or search and store them."""
     recipe = _recipe(chosen, setting, problem, options)
     stored = _stored(path)
     if stored.get("recipe") == recipe:
         return Tuned(stored["values"], stored["objective"], stored["untuned"])
     tuned = tune(chosen, setting, problem, options)
-    if path.exists() and not is_own(path):  # somebody has changed it
+    if path.exists() and not is_own(path):  # changed by a user
         return tuned
     write_atomically(path, json.dumps({**tuned._asdict(), "recipe": recipe}, indent=2).encode())
     return tuned
 
 
 def _stored(path: Path) -> dict[str, Any]:
-    """Return what a file of tuned values holds; nothing if it is missing or damaged."""
+    """Read a file of tuned values; empty if it is missing or damaged."""
     try:
         stored = json.loads(read_whole(path))
     except (OSError, ValueError, RecursionError):
@@ -207,7 +207,7 @@ def _stored(path: Path) -> dict[str, Any]:
 
 
 def _recipe(chosen: Filter, setting: Setting, problem: Problem, options: Tuning) -> dict[str, Any]:
-    """Return what determines a search, as plain values; the flow is known by what it does to a state."""
+    """Return the definition of a search as plain values; the flow is identified by its effect on a state."""
     with torch.no_grad():
         image = at(problem.driven(chosen.flow), 0.0)(problem.truth[:, 0], problem.dt)
     tensors = {
@@ -235,7 +235,7 @@ def _study(seed: int) -> Study:
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     with warnings.catch_warnings():
-        # The constant liar was marked experimental before Optuna 5.
+        # The constant liar was experimental before Optuna 5.
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
         sampler = optuna.samplers.TPESampler(seed=seed, constant_liar=True)
     return optuna.create_study(sampler=sampler)

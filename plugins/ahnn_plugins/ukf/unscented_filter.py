@@ -1,4 +1,4 @@
-"""The unscented Kalman filter, one step at a time or over a batch of rows."""
+"""Unscented Kalman filter, for single steps or batches of rows."""
 
 from __future__ import annotations
 
@@ -38,22 +38,22 @@ class UnscentedKalmanFilter(GaussianFilter):
     """Unscented Kalman filter with additive noise for a batch of B members, see `GaussianFilter`.
 
     Attributes:
-        parameters: of the sigma points.
+        parameters: sigma point parameters.
         form: `SQUARE_ROOT` or `STANDARD`.
-        gate: refuses improbable measurement rows; None takes all.
-        name: what its rows are called.
+        gate: gate for improbable measurement rows, or None.
+        name: name in tables.
 
     Raises:
-        ValueError: a form or a gate that is none.
+        ValueError: invalid form or gate.
     """
 
     parameters: UnscentedParameters = DEFAULTS
     form: Form = SQUARE_ROOT
     gate: Gate | None = None
-    name: str = "ukf"  # pyright: ignore[reportIncompatibleMethodOverride] - a property of the base
+    name: str = "ukf"  # pyright: ignore[reportIncompatibleMethodOverride] - property of the base class
 
     def __post_init__(self) -> None:
-        """Refuse what is no form and no gate."""
+        """Check the form and the gate."""
         if not isinstance(self.form, Form):
             message = f"form: expected a Form, SQUARE_ROOT or STANDARD; received {self.form!r}"
             raise UserError(message)
@@ -61,7 +61,7 @@ class UnscentedKalmanFilter(GaussianFilter):
 
     @property
     def definite(self) -> bool:
-        """Whether covariances are formed, which needs a definite measurement noise."""
+        """Whether covariances are formed, which requires definite measurement noise."""
         return self.form.squares
 
     @property
@@ -72,30 +72,30 @@ class UnscentedKalmanFilter(GaussianFilter):
 
     @property
     def smoothers(self) -> dict[str, Callable[[FilterResult, Batch], Smoothed]]:
-        """The Rauch-Tung-Striebel smoother, and the iterated one."""
+        """Rauch-Tung-Striebel smoother, and the iterated smoother."""
         return {**super().smoothers, "iterated": self._iterated}
 
     def _iterated(self, result: FilterResult, batch: Batch) -> Smoothed:
-        """Return what the iterated smoother finds."""
+        """Run the iterated smoother."""
         found = iterated_smoother(result, batch.flow, *batch[2:], parameters=self.parameters)
         unsettled = int((~found.settled & (result.status == Status.OK)).sum())
         return Smoothed(found.smoothed, {"iterations": found.iterations, "unsettled": unsettled})
 
     def kernel(self, belief: Belief) -> SigmaPoints:
-        """Return sigma points for states of this size."""
+        """Build the sigma points for states of this size."""
         (batch, size), device = belief.mean.shape, belief.mean.device
         if any(isinstance(value, Tensor) for value in self.parameters):
             return SigmaPoints(unscented_weights(self.parameters, size, device, batch=batch), self.form)
         return SigmaPoints(_weights_of_numbers(self.parameters, size, device), self.form)
 
     def stepper(self, kernel: Kernel, rows: Tensor, *, smoothing: bool) -> FilterLoop[FilterState]:
-        """Return the steps of a run, whole ones where the library does them."""
+        """Return the step function of a run, with fused steps if supported by the library."""
         return WholeSteps(rows, cast(SigmaPoints, kernel), smoothing=smoothing)
 
 
 @cache
 def _weights_of_numbers(parameters: UnscentedParameters, size: int, device: torch.device) -> SigmaWeights:
-    # Kept tensors must serve gradients, in whatever mode they are asked for first.
+    # Cached tensors must support gradients, whatever the mode of the first request.
     with torch.inference_mode(mode=False), torch.no_grad():
         return unscented_weights(parameters, size, device)
 
@@ -119,19 +119,19 @@ def unscented_filter(
     """Run an unscented Kalman filter over a batch of trajectories: `GaussianFilter.run` in one call.
 
     Args:
-        flow: any function (x (N, D), dt) -> (N, D); called once a step, with N = B (2 D + 1).
-        belief: see `GaussianFilter.run`, as of what follows.
+        flow: any function (x (N, D), dt) -> (N, D); called once per step, with N = B (2 D + 1).
+        belief: see `GaussianFilter.run`, also for the following arguments.
         measurements: (B, T, M), NaN where a component is missing.
-        measurement: the model of the measurements.
-        process_noise: Q of one step, (D, D) or (B, D, D), or a function of the step's length.
-        measurement_noise: R, (M, M) or (B, M, M).
+        measurement: measurement model.
+        process_noise: covariance Q of one step, (D, D) or (B, D, D), or a function of the step's length.
+        measurement_noise: covariance R, (M, M) or (B, M, M).
         dt: length of every step, or (T,) lengths; positive.
-        parameters: of the sigma points; the defaults of `UnscentedParameters` if None.
+        parameters: sigma point parameters; None for the defaults of `UnscentedParameters`.
         form: `SQUARE_ROOT` or `STANDARD`.
-        gate: refuses improbable measurement rows; None takes all.
-        smoothing: keep what `unscented_smoother` needs.
-        start_time: time of the initial belief; a state has its own.
-        gradients: keep the graph.
+        gate: gate for improbable measurement rows, or None.
+        smoothing: whether to keep the backward laws for `unscented_smoother`.
+        start_time: time of the initial belief; ignored for a state.
+        gradients: whether to keep the graph.
 
     Raises:
         ValueError: as `GaussianFilter.run`, and for parameters without sigma points.

@@ -1,4 +1,4 @@
-"""The unscented transformation as the kernel of a Gaussian filter."""
+"""Unscented transformation as the kernel of a Gaussian filter."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from ahnn_plugins.ukf.sigma_points import draw
 from ahnn_plugins.ukf.unscented_smoother import backward_kernel
 
 READINGS = (Position, State)
-"""Models of the first components of a state; a class made from one may do something else."""
+"""Models of the first state components; derived classes may behave differently."""
 
 
 class SigmaPoints(NamedTuple):
     """Predictions and updates by sigma points.
 
-    Sigma points are drawn again after Q is added: without that an unscented filter does not equal the Kalman
-    filter on a linear system.
+    Sigma points are redrawn after Q is added, as required for equality with the Kalman filter on a linear
+    system.
 
     Attributes:
-        weights: of the points.
-        form: of the covariances.
-        points: (B, S, D) after the flow, of the next prediction, where they are known already.
+        weights: sigma point weights.
+        form: form of the covariances.
+        points: (B, S, D) propagated points of the next prediction, if already known.
     """
 
     weights: SigmaWeights
@@ -40,13 +40,13 @@ class SigmaPoints(NamedTuple):
 
     @property
     def rounding(self) -> Rounding:
-        """What crowded points and formed covariances amplify."""
+        """Amplification by closely spaced points and explicit covariances."""
         return Rounding(self.weights.crowding, self.form.squares, self.weights.downdate is not None)
 
     def predict(
         self, belief: Belief, flow: Flow, dt: float, chol_q: Tensor, *, smoothing: bool = False
     ) -> Predicted:
-        """Return the belief after a step; the flow is called once, on B (2 D + 1) points."""
+        """Propagate the belief over a step; the flow is called once, on B (2 D + 1) points."""
         points = self.points
         if points is None:
             points = propagate(flow, draw(belief, self.weights), dt)
@@ -55,12 +55,12 @@ class SigmaPoints(NamedTuple):
             return predicted
         backward, mended = backward_kernel(points, belief.chol, self.weights, chol_q)
         if mended is not None and predicted.repaired is not None:
-            # The law holds the predicted covariance: what was mended there is no second repair.
+            # The law contains the predicted covariance: its repair is not counted twice.
             mended = mended & ~predicted.repaired
         return predicted._replace(backward=backward, mended=mended)
 
     def update(self, prior: Belief, y: Tensor, sensor: SensorModel, time: float) -> Updated:
-        """Return the belief given a row; one that reads the state needs no points."""
+        """Condition the belief on a row; measured state components need no points."""
         model, size = sensor.measurement, y.shape[-1]
         if self.form.read is not None and type(model) in READINGS and size <= prior.mean.shape[-1]:
             turned = nearest(model, y, prior.mean[:, :size])

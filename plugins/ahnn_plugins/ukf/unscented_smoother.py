@@ -10,22 +10,22 @@ from ahnn_plugins.ukf.parameters import SigmaWeights
 from ahnn_plugins.ukf.square_root import joint_factor
 
 unscented_smoother = smoother
-"""The smoother composes the laws below; it is that of any filter."""
+"""Smoother that composes these laws, common to all filters."""
 
 
 def backward_kernel(
     propagated: Tensor, chol: Tensor, weights: SigmaWeights, chol_q: Tensor
 ) -> tuple[Backward, Tensor | None]:
-    """Return the law of the state before a step given the state after it, see `backward_law`.
+    """Return the conditional distribution of the state before a step given that after it, see `backward_law`.
 
     Args:
         propagated: (B, S, D) sigma points after the flow.
         chol: (B, D, D) factor from which they were drawn.
-        weights: of the points.
+        weights: sigma point weights.
         chol_q: (B, D, D) factor of the process noise.
 
     Returns:
-        The law, and which members needed a repair or had a singular covariance, (B,) bool; None if no member.
+        The distribution, and members with a repair or a singular covariance, (B,) bool, or None.
     """
     outer = propagated[:, 1:] - propagated[:, :1]
     shift = weights.outer * outer.sum(1, keepdim=True)

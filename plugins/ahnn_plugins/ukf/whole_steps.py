@@ -1,8 +1,8 @@
-"""Whole steps in one call of the library, for as long as there is nothing to decide.
+"""Fused filter steps in one library call, for steps without decisions.
 
-Where whole rows of the first components of a state are measured and all members take them, prediction,
-posterior and sigma points are all that is between two calls of the flow. The arithmetic is that of single
-steps, in the same functions: results have the same bits.
+If complete rows of the first state components are measured and accepted by all members, only prediction,
+posterior and sigma points are needed between two calls of the flow. The same functions are used as for single
+steps: results are bitwise identical.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from ahnn_plugins.ukf.unscented_kernel import READINGS, SigmaPoints
 
 
 class WholeSteps:
-    """The steps of one run, and the sigma points that wait for the flow.
+    """Steps of one run, with the pending sigma points.
 
     Args:
         rows: (B, T, M) measurements of the run.
-        kernel: does the steps that are not whole.
-        smoothing: keep the laws of a smoother, which no whole step does.
+        kernel: kernel for the other steps.
+        smoothing: whether to keep the laws of a smoother, unsupported by fused steps.
     """
 
     def __init__(self, rows: Tensor, kernel: SigmaPoints, *, smoothing: bool = False) -> None:
@@ -43,13 +43,13 @@ class WholeSteps:
         self.rows, self.weights, self.kernel, self.smoothing = rows, weights, kernel, smoothing
         self.memory: members.Memory | None = None
         self.further: tuple[Belief, Tensor] | None = None
-        self.seen: tuple[object, object, object] = None, None, None  # what `_knows` looked at last
-        self.noise: members.StepNoise | None = None  # of what it saw
+        self.seen: tuple[object, object, object] = None, None, None  # objects last checked by `_knows`
+        self.noise: members.StepNoise | None = None  # result of that check
 
     def __call__(
         self, k: int, state: FilterState, row: Tensor | None, model: StepModel, length: float, time: Tensor
     ) -> tuple[FilterState, StepRecord]:
-        """Return the state after step k, whole or not, and its record."""
+        """Return the state after step k, fused or not, and its record."""
         points = propagate(at(model.flow, state.time), self.points(state), length)
         done = self.step(k, state, points, time, model.chol_q, model.sensor)
         if done is None:
@@ -58,7 +58,7 @@ class WholeSteps:
         return done
 
     def points(self, state: FilterState) -> Tensor:
-        """Return the sigma points (B, S, D) of a state, which the step before may have drawn."""
+        """Return the sigma points (B, S, D) of a state, possibly drawn by the previous step."""
         if self.further is not None and self.further[0] is state.belief:
             return self.further[1]
         return draw(state.belief, self.weights)
@@ -69,7 +69,7 @@ class WholeSteps:
         """Return the state after step k from the points (B, S, D) after the flow, and its record.
 
         Returns:
-            None where the step is not the library's, or not all of it is as it should be.
+            None if the step is unsupported by the library, or some result is invalid.
         """
         if not self.possible[k] or not self._knows(state, points, chol_q, sensor):
             return None
@@ -89,7 +89,7 @@ class WholeSteps:
         return after, StepRecord(predicted, after.belief, *told, None)
 
     def _knows(self, state: FilterState, points: Tensor, chol_q: Tensor, sensor: SensorModel) -> bool:
-        """Return whether the library does a step of these, and all members are alive."""
+        """Return whether the library supports this step, and all members are active."""
         status, q, told = self.seen
         if not (status is state.status and q is chol_q and told is sensor):
             read = type(sensor.measurement) in READINGS and self.rows.shape[-1] <= points.shape[-1]

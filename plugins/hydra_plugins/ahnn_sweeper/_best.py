@@ -1,4 +1,4 @@
-"""The best trial of a study as a configuration of the group `experiment`."""
+"""Best trial of a study as a configuration of the group `experiment`."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def write_best(study: optuna.Study, sweep_dir: Path, config_loader: ConfigLoader
 
 
 def best_yaml(overrides: list[str], config_loader: ConfigLoader, groups: set[str]) -> str:
-    """Return a configuration that does what the overrides do: groups as defaults, the rest as keys."""
+    """Return a configuration equivalent to the overrides: groups as defaults, the rest as keys."""
     added: list[object] = []
     overridden: list[object] = []
     values = OmegaConf.create({})
@@ -53,7 +53,7 @@ def best_yaml(overrides: list[str], config_loader: ConfigLoader, groups: set[str
             continue
         if key not in groups:
             OmegaConf.update(values, key, value, force_add=True)
-        elif key == "experiment":  # this file takes its place
+        elif key == "experiment":  # replaced by this file
             added.append(value)
         elif override.is_add():
             added.append({f"/{key}": value})

@@ -1,4 +1,4 @@
-"""Lock of a journal file that ends with its holder.
+"""Journal file lock that is released when its holder dies.
 
 Optuna's own lock is a symbolic link; a process killed while it holds one blocks all others for a grace
 period of 30 s. The operating system releases this one at once.
@@ -14,10 +14,10 @@ from optuna.storages.journal import JournalFileOpenLock
 
 
 class FileLock(JournalFileOpenLock):
-    """Exclusive lock on `PATH.lock`, for the processes and for the threads of this process.
+    """Exclusive lock on `PATH.lock`, between processes and between threads.
 
     Args:
-        path: the file that is protected.
+        path: protected file.
     """
 
     def __init__(self, path: str) -> None:
@@ -27,13 +27,13 @@ class FileLock(JournalFileOpenLock):
         self._descriptor = -1
 
     def acquire(self) -> bool:
-        """Wait for the lock and take it."""
+        """Wait for and acquire the lock."""
         self._thread_lock.acquire()
         self._descriptor = os.open(self._path, os.O_CREAT | os.O_RDWR, 0o666)
         fcntl.flock(self._descriptor, fcntl.LOCK_EX)
         return True
 
     def release(self) -> None:
-        """Give the lock back."""
+        """Release the lock."""
         os.close(self._descriptor)
         self._thread_lock.release()

@@ -1,7 +1,7 @@
-"""A command as a fork of a process that has imported what all of them need, as if it had been started anew.
+"""Commands as forks of a process with common imports, equivalent to a fresh start.
 
-The server is that of `multiprocessing`; it forks while it has one thread. It holds back the signals that a
-scheduler sends to everybody, so that it lives until its jobs have ended and their exit codes are known.
+The server is that of `multiprocessing`; it forks while single-threaded. It ignores signals that a scheduler
+sends to all processes, so that it lives until its jobs have ended and their exit codes are known.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from pathlib import Path
 
 _context = multiprocessing.get_context("forkserver")
 _one_thread = threading.Lock()
-"""A start looks at all processes: it must not read the exit code that another thread waits for."""
+"""Starting a process reaps all processes: it must not read the exit code awaited by another thread."""
 
 
 def serve(imports: Sequence[str]) -> None:
-    """Let the server, which starts with the first job, import some modules; a missing one is left out."""
+    """Preload modules in the server, which starts with the first job; missing ones are skipped."""
     _context.set_forkserver_preload(["hydra_plugins.ahnn_sweeper._held", *imports])
 
 
@@ -32,8 +32,8 @@ def start(program: str, arguments: list[str], log: Path) -> ForkServerProcess:
     """Start a command with its output in a file.
 
     Args:
-        program: name of a module, as behind `python -m`, or path of a script.
-        arguments: what follows it.
+        program: module name, as for `python -m`, or path of a script.
+        arguments: command line arguments.
         log: file for standard output and standard error.
     """
     process = _context.Process(target=_run, args=(program, arguments, str(log)))
@@ -52,7 +52,7 @@ def exit_code(process: ForkServerProcess) -> int:
 
 
 def _run(program: str, arguments: list[str], log: str) -> None:
-    """Be the command, from its first line to what it does at its exit."""
+    """Run the command in the forked process, including its exit handlers."""
     from hydra_plugins.ahnn_sweeper._held import HANDLERS
 
     for number, handler in HANDLERS.items():
@@ -66,7 +66,7 @@ def _run(program: str, arguments: list[str], log: str) -> None:
             runpy.run_path(program, run_name="__main__")
         else:
             runpy.run_module(program, run_name="__main__", alter_sys=True)
-    except Exception as error:  # said as Python does; `multiprocessing` would speak of a process of its own
+    except Exception as error:  # printed as by Python; `multiprocessing` would name its own process
         sys.stdout.flush()
         sys.excepthook(type(error), error, error.__traceback__)
         sys.exit(1)

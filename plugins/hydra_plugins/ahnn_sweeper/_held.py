@@ -1,4 +1,4 @@
-"""Signals that the server of `_forked` holds back from its import on; its jobs take the handlers back."""
+"""Signals ignored by the server of `_forked` from its import on; its jobs restore the handlers."""
 
 import signal
 

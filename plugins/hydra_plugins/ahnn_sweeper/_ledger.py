@@ -1,9 +1,9 @@
-"""Which trials a study still owes: allotment, counting, and the retry of orphans.
+"""Bookkeeping of trials: allotment, counting, and retry of orphans.
 
 An orphan is a RUNNING trial whose process is gone. It becomes FAIL and its parameters are enqueued again,
-marked `retry_of`; from then on the retry counts in its place. A trial is retried until its job has started
-twice. Every step can be cut off by a kill and is completed, never repeated, by the next worker that holds
-the lock.
+marked `retry_of`; from then on the retry replaces it. A trial is retried until its job has started twice.
+Every step may be interrupted by a kill and is completed, never repeated, by the next worker that holds the
+lock.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _STARTS = 2  # a job is started at most twice
 
 
 class Counts(NamedTuple):
-    """How many trials are in which state; those that a retry replaced are counted as `replaced` only."""
+    """Number of trials by state; those replaced by a retry are counted as `replaced` only."""
 
     complete: int
     pruned: int
@@ -60,7 +60,7 @@ def count(trials: Sequence[FrozenTrial]) -> Counts:
 
 
 def replaced(trials: Sequence[FrozenTrial]) -> set[int]:
-    """Return the numbers of the trials that a retry stands for."""
+    """Return the numbers of trials replaced by a retry."""
     return {trial.user_attrs["retry_of"] for trial in trials if "retry_of" in trial.user_attrs}
 
 
@@ -72,18 +72,18 @@ def allot(
     total: int,
     limit: int,
 ) -> list[optuna.Trial]:
-    """Take up to `limit` trials that are still owed, after orphans were put back.
+    """Allot up to `limit` remaining trials, after requeueing orphans.
 
     Args:
         study: the study.
         url: its resolved storage.
         space: parameters and their distributions.
         sampler_for: sampler for the trial of a given number.
-        total: trials that the study shall have.
-        limit: most trials to take.
+        total: total number of trials of the study.
+        limit: maximum number of trials to allot.
 
     Returns:
-        The trials, marked as asked for by this process; none if all are finished or taken.
+        The trials, marked as requested by this process; none if all are finished or taken.
     """
     taken = []
     with exclusive(url):
@@ -101,22 +101,22 @@ def allot(
 
 
 def _next_number(trials: Sequence[FrozenTrial]) -> int:
-    """Return the number of the trial that the study hands out next: the first that waits, or a new one.
+    """Return the number of the next trial of the study: the first waiting one, or a new one.
 
-    A retry of an orphan that was cut off before it had parameters draws them: its number is its seed.
+    A retry of an orphan that was interrupted before it had parameters draws them: its number is its seed.
     """
     return min((trial.number for trial in trials if trial.state.name == "WAITING"), default=len(trials))
 
 
 def settle(study: optuna.Study, url: str, numbers: Sequence[int], all_ended: bool) -> None:
-    """Put back those of the launched trials whose job ended without telling: it was killed.
+    """Requeue launched trials whose job was killed without reporting.
 
     Args:
         study: the study.
         url: its resolved storage.
         numbers: the launched trials.
-        all_ended: whether the launcher waited for all jobs. If not, those that still run elsewhere (a
-            cluster goes on with the others when one job dies) are left to tell by themselves.
+        all_ended: whether the launcher waited for all jobs. If not, those still running elsewhere (a cluster
+            continues other jobs when one dies) report by themselves.
     """
     with exclusive(url):
         for trial in study.get_trials(deepcopy=False):
@@ -127,7 +127,7 @@ def settle(study: optuna.Study, url: str, numbers: Sequence[int], all_ended: boo
 
 
 def _recover(study: optuna.Study) -> None:
-    """Put back every RUNNING trial whose process is gone."""
+    """Requeue every RUNNING trial whose process has ended."""
     for trial in study.get_trials(deepcopy=False):
         if trial.state.name == "RUNNING" and not is_alive(trial):
             _put_back(study, trial)
@@ -153,6 +153,6 @@ def _put_back(study: optuna.Study, trial: FrozenTrial) -> None:
 
 
 def any_started(study: optuna.Study, numbers: Sequence[int]) -> bool:
-    """Return whether the job of any of these trials began; if none did, the launcher itself is at fault."""
+    """Return whether any job of these trials began; if none did, the launcher has failed."""
     trials = study.get_trials(deepcopy=False)
     return any(trial.number in numbers and "run_by" in trial.user_attrs for trial in trials)

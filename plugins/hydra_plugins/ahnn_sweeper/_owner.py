@@ -1,10 +1,10 @@
-"""Who works on a trial, and whether that process is still alive.
+"""Ownership of trials, and liveness of their processes.
 
-A trial carries the process that asked for it (`asked_by`) and, once its job has started, the process of the
+A trial records the process that requested it (`asked_by`) and, once its job has started, the process of the
 job (`run_by`), each as host, process id and start time. On the same host the process table answers at once,
-and a reused process id is told apart by its start time. Of another host, the answer is the lease: the owner
-writes the time (`lease`) every `RENEW` seconds, and a lease older than `EXPIRY` means that the owner is
-gone. So the clocks of the machines may differ by less than a minute.
+and a reused process id is recognised by its start time. For other hosts a lease is used: the owner writes the
+time (`lease`) every `RENEW` seconds, and a lease older than `EXPIRY` means that the owner has died. Clocks of
+machines must therefore agree to within a minute.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ def this_process() -> str:
 def is_alive(trial: FrozenTrial) -> bool:
     """Return whether the process that works on a RUNNING trial still exists.
 
-    A trial without any owner was cut off inside the allotment. The caller holds the storage's lock, so
-    nobody is in there now, and the trial is an orphan.
+    A trial without any owner was interrupted during allotment. The caller holds the storage's lock, so no
+    allotment is in progress, and the trial is an orphan.
     """
     owner = trial.user_attrs.get("run_by") or trial.user_attrs.get("asked_by")
     if owner is None:
@@ -49,7 +49,7 @@ def is_alive(trial: FrozenTrial) -> bool:
 
 
 def runs_elsewhere(trial: FrozenTrial) -> bool:
-    """Return whether the job of a RUNNING trial is at work in another process than this one."""
+    """Return whether the job of a RUNNING trial runs in another process."""
     runner = trial.user_attrs.get("run_by", "")
     ours = this_process().rpartition("|")[0]
     return runner != "" and runner.rpartition("|")[0] != ours and is_alive(trial)
@@ -59,8 +59,8 @@ class Lease:
     """Renew the lease of some trials in the background, as a context.
 
     Args:
-        storage: where the trials are.
-        trial_ids: the trials; those that finish meanwhile are left alone.
+        storage: storage of the trials.
+        trial_ids: ids of the trials; finished ones are ignored.
     """
 
     def __init__(self, storage: BaseStorage, trial_ids: Iterable[int]) -> None:
@@ -82,12 +82,12 @@ class Lease:
             for trial_id in self._trial_ids:
                 try:
                     self._storage.set_trial_user_attr(trial_id, "lease", time.time())
-                except Exception as error:  # a finished trial, or a database that is briefly unreachable
+                except Exception as error:  # a finished trial, or a temporarily unreachable database
                     logger.debug("lease of trial id %s not renewed: %s", trial_id, error)
 
 
 def _host() -> str:
-    """Return the host and, where there is one, the process-id namespace: containers may share a host name."""
+    """Return the host and, if any, the process-id namespace: containers may share a host name."""
     try:
         return f"{socket.gethostname()}/{os.readlink('/proc/self/ns/pid')}"
     except OSError:

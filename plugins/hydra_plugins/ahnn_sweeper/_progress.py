@@ -1,4 +1,4 @@
-"""One line on the state of a sweep: best value, running, pruned, failed, time left."""
+"""Status line of a sweep: best value, running, pruned, failed, time left."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import optuna
     from optuna.trial import FrozenTrial
 
-_REFRESH = 0.5  # times a second; each one reads the study
+_REFRESH = 0.5  # updates per second; each one reads the study
 
 
 class Progress:
@@ -24,7 +24,7 @@ class Progress:
 
     Args:
         study: the study.
-        total: trials that it shall have.
+        total: total number of trials.
     """
 
     def __init__(self, study: optuna.Study, total: int) -> None:
@@ -46,7 +46,7 @@ class Progress:
             self._live.stop()
 
     def update(self) -> None:
-        """Print the line where it cannot be refreshed in place, if it has changed."""
+        """Print the line if it has changed and cannot be refreshed in place."""
         line = self._line()
         if not self._console.is_terminal and line.plain != self._last:
             self._last = line.plain
@@ -62,7 +62,7 @@ def progress_line(trials: Sequence[FrozenTrial], total: int, direction: str) -> 
 
     Args:
         trials: all trials of the study.
-        total: trials that it shall have.
+        total: total number of trials.
         direction: `MINIMIZE` or `MAXIMIZE`.
     """
     counts = count(trials)
@@ -75,7 +75,7 @@ def progress_line(trials: Sequence[FrozenTrial], total: int, direction: str) -> 
 
 
 def _time_left(trials: Sequence[FrozenTrial], total: int) -> str:
-    """Return the time for the remaining trials at the mean duration so far and the present parallelism."""
+    """Estimate the time for the remaining trials from the mean duration and current parallelism."""
     counts = count(trials)
     ended = [trial for trial in trials if trial.state.name in ("COMPLETE", "PRUNED")]
     durations = [trial.duration.total_seconds() for trial in ended if trial.duration is not None]

@@ -1,4 +1,4 @@
-"""What a sweep leaves behind: a table on the console, `best.yaml`, and Optuna's plots as PNG files."""
+"""Results of a sweep: a table on the console, `best.yaml`, and Optuna's plots as PNG files."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from optuna.trial import FrozenTrial
 
 logger = logging.getLogger(__name__)
-_ROWS = 5  # of the best trials in the table
+_ROWS = 5  # number of best trials in the table
 
 
 def write(study: optuna.Study, sweep_dir: Path, config_loader: ConfigLoader, groups: set[str]) -> int:
@@ -35,7 +35,7 @@ def write(study: optuna.Study, sweep_dir: Path, config_loader: ConfigLoader, gro
         groups: the configuration groups of the application.
 
     Returns:
-        The number of failed trials that no retry replaced.
+        The number of failed trials without a retry.
     """
     console = Console(stderr=True)
     trials = study.get_trials(deepcopy=False)
@@ -50,7 +50,7 @@ def write(study: optuna.Study, sweep_dir: Path, config_loader: ConfigLoader, gro
 
 
 def _table(study: optuna.Study, trials: list[FrozenTrial]) -> Table:
-    """Return the best trials and all that failed, with their reasons."""
+    """Format the best trials and all failed ones, with reasons."""
     counts = count(trials)
     table = Table(
         title=f"{study.study_name}: {counts.complete} complete, {counts.pruned} pruned, "
@@ -87,9 +87,9 @@ def _log10(trial: FrozenTrial) -> float:
 
 
 def _write_plots(study: optuna.Study, sweep_dir: Path) -> None:
-    """Write history, importance and parallel-coordinate plots; what a study cannot show is left out.
+    """Write history, importance and parallel-coordinate plots; plots unsupported by the study are omitted.
 
-    Values that span decades, as losses do, are shown by their logarithms: else all good trials look alike.
+    Values that span decades, such as losses, are plotted as logarithms to distinguish good trials.
     """
     import matplotlib as mpl
 

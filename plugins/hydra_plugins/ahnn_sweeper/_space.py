@@ -1,6 +1,6 @@
-"""The search space, in Hydra's own sweep grammar, from the configuration and from the command line.
+"""Search space in Hydra's sweep grammar, from configuration and command line.
 
-What a key may be swept over:
+Supported sweeps of a key:
 
     choice(128, 256, 512)            categorical; 128,256,512 means the same
     range(3, 11)                     3, 4, ..., 10: the end is excluded, as everywhere in Hydra
@@ -8,7 +8,7 @@ What a key may be swept over:
     int(interval(1, 5))              1, 2, ..., 5: the end is included
     tag(log, interval(1e-4, 1e-3))   any real number, on a logarithmic scale
 
-The command line wins over the configuration, key by key.
+The command line takes precedence over the configuration, key by key.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 
 
 class SearchSpace(NamedTuple):
-    """What is searched and what is fixed.
+    """Searched and fixed overrides.
 
     Attributes:
         distributions: one per searched key.
-        texts: for a categorical key, its choices as the command line writes them.
+        texts: for a categorical key, its choices in command line syntax.
         fixed: the other overrides, in order.
     """
 
@@ -40,7 +40,7 @@ class SearchSpace(NamedTuple):
     fixed: list[str]
 
     def overrides(self, params: Mapping[str, Any]) -> list[str]:
-        """Return the overrides of a job that has these parameters."""
+        """Return the overrides of a job with given parameters."""
         return [f"{key}={self._text(key, value)}" for key, value in params.items()]
 
     def _text(self, key: str, value: Any) -> str:
@@ -50,11 +50,11 @@ class SearchSpace(NamedTuple):
 
 
 def parse(parser: OverridesParser, params: Mapping[str, Any], arguments: Sequence[str]) -> SearchSpace:
-    """Sort overrides into searched and fixed ones; the command line wins over the configuration.
+    """Sort overrides into searched and fixed ones; the command line takes precedence.
 
     Args:
         parser: Hydra's parser.
-        params: key and sweep, as `hydra.sweeper.params` holds them.
+        params: sweeps by key, from `hydra.sweeper.params`.
         arguments: overrides of the command line.
 
     Raises:

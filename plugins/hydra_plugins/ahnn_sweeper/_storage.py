@@ -1,4 +1,4 @@
-"""Where a study is kept: a journal file, SQLite, PostgreSQL or a proxy of Optuna; and one lock per storage.
+"""Storage of a study: a journal file, SQLite, PostgreSQL or a proxy of Optuna; with one lock per storage.
 
 The lock makes the creation of a study and the allotment of trials atomic over all processes and machines:
 without it, two processes that create the same empty database crash (SQLite "table already exists", PostgreSQL
@@ -33,7 +33,7 @@ SQLITE = "sqlite:///"
 GRPC = "grpc://"
 _QUEUE = "ahnn queue"  # the study whose trials wait for the lock of a proxy
 _ATTEMPTS = 6  # waits of 0.5, 1, 2, 4, 8 s: a database server that is just starting
-_ADVISORY_KEY = 0x61686E6E  # "ahnn" in ASCII: any fixed 64-bit number does
+_ADVISORY_KEY = 0x61686E6E  # "ahnn" in ASCII: any fixed 64-bit number
 
 
 def resolved(url: str) -> str:
@@ -56,7 +56,7 @@ def resolved(url: str) -> str:
 
 @functools.lru_cache(maxsize=4)
 def open_storage(url: str) -> optuna.storages.BaseStorage:
-    """Open a storage, one per process and URL, and make its file or tables where they are missing.
+    """Open a storage, one per process and URL, creating missing files or tables.
 
     Args:
         url: a resolved URL.
@@ -86,7 +86,7 @@ def open_storage(url: str) -> optuna.storages.BaseStorage:
 
 @contextmanager
 def exclusive(url: str) -> Iterator[None]:
-    """Hold the storage's lock; a second holder waits.
+    """Acquire the storage's lock, waiting for other holders.
 
     Args:
         url: a resolved URL.
@@ -173,7 +173,7 @@ def _waiting(storage: optuna.storages.BaseStorage, queue: int) -> list[optuna.tr
 
 @contextmanager
 def _advisory_lock(url: str) -> Iterator[None]:
-    """Hold PostgreSQL's advisory lock; it ends with the connection, also when this process is killed."""
+    """Hold PostgreSQL's advisory lock; released with the connection, also if this process is killed."""
     from sqlalchemy import NullPool, create_engine, text
 
     engine = create_engine(url, poolclass=NullPool, isolation_level="AUTOCOMMIT")

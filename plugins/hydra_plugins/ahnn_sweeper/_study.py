@@ -1,4 +1,4 @@
-"""The study of a sweep and the sampler of each of its trials."""
+"""Study of a sweep, and samplers of its trials."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def open_study(
         storage: resolved URL.
         name: name of the study.
         direction: `minimize` or `maximize`.
-        fixed: overrides that all its jobs share; trials with others measure something else.
+        fixed: overrides common to all jobs, without which trials are not comparable.
 
     Raises:
         UserError: if the study exists with another direction or other fixed overrides.
@@ -61,8 +61,8 @@ def sampler(config: DictConfig, number: int) -> optuna.samplers.BaseSampler:
     """Return the sampler of one trial.
 
     A sampler restarted with the same seed would draw the same random trials again, and so would each worker:
-    the number of the trial is added to the seed. A quasi-random sequence is the exception, it is one
-    sequence only as long as all its members share the seed.
+    the number of the trial is added to the seed. Quasi-random sequences are an exception, since all members
+    must share the seed.
     """
     from optuna.exceptions import ExperimentalWarning
     from optuna.samplers import QMCSampler

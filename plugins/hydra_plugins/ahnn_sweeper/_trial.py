@@ -1,4 +1,4 @@
-"""The trial in its job: how the job finds it, and how its outcome reaches the study."""
+"""Trial of a job: lookup, and report of its outcome to the study."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ logger = logging.getLogger(__name__)
 
 
 def load_trial(storage: str, study_name: str, trial_id: int) -> optuna.Trial:
-    """Return the trial of this job, to report to and to ask.
+    """Load the trial of this job.
 
     Args:
         storage: resolved URL of the storage.
@@ -31,17 +31,17 @@ def load_trial(storage: str, study_name: str, trial_id: int) -> optuna.Trial:
     """
     import optuna
 
-    # A trial samples when it is constructed: the random sampler has nothing to do there and leaves no trace.
+    # A trial samples on construction: the random sampler draws nothing there and has no side effect.
     sampler = optuna.samplers.RandomSampler()
     study = optuna.load_study(study_name=study_name, storage=open_storage(storage), sampler=sampler)
     return optuna.Trial(study, trial_id)
 
 
 class TrialCallback(Callback):
-    """Hydra callback that claims the trial when the job starts and tells its outcome when the job ends.
+    """Hydra callback that claims the trial at the start of a job and reports its outcome at the end.
 
-    It runs in the process of the job, whatever the launcher, so that an outcome is stored the moment it
-    exists and survives the death of the sweep. Jobs without a trial pass untouched.
+    It runs in the process of the job, whatever the launcher, so that outcomes are stored immediately and
+    survive the death of the sweep. Jobs without a trial are ignored.
     """
 
     def __init__(self) -> None:
@@ -49,7 +49,7 @@ class TrialCallback(Callback):
         self._lease: Lease | None = None
 
     def on_job_start(self, config: DictConfig, **kwargs: Any) -> None:  # noqa: ARG002
-        """Claim the trial: from now on it lives as long as this process."""
+        """Claim the trial: from now on its liveness is that of this process."""
         node = config.get("trial")
         if node is None or not _speaks():
             return
@@ -59,7 +59,7 @@ class TrialCallback(Callback):
         self._lease.__enter__()
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:  # noqa: ARG002
-        """Tell the study what became of the trial."""
+        """Report the outcome of the trial to the study."""
         if self._trial is None or self._lease is None:
             _forgive_pruning(job_return)
             return
@@ -117,6 +117,6 @@ def _fail(trial: optuna.Trial, reason: str) -> None:
 
     try:
         trial.set_user_attr("error", reason)
-    except UpdateFinishedTrialError:  # another worker took this process for dead
+    except UpdateFinishedTrialError:  # another worker considered this process dead
         return
     trial.study.tell(trial.number, state=TrialState.FAIL, skip_if_finished=True)

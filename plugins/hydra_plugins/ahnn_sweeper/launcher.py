@@ -1,11 +1,11 @@
-"""The launcher of `hydra/launcher=ahnn_process`: each job in a process of its own.
+"""The launcher of `hydra/launcher=ahnn_process`: each job in a separate process.
 
-Hydra's basic launcher runs the jobs inside the sweep, so that a job killed for memory takes the sweep along;
+Hydra's basic launcher runs the jobs inside the sweep, so that a job killed for lack of memory ends the sweep;
 joblib stops all jobs when one of its workers dies. Here a job is the user's own command as a single run, in a
-fork of a process that has imported what all jobs need: a killed job is one failed job, and Lightning's DDP,
-which starts its other processes by repeating the command, repeats the right one.
+fork of a process with the common imports: a killed job is one failed job, and Lightning's DDP, which starts
+its other processes by repeating the command, repeats the right one.
 
-Hydra executes this module outside `sys.modules`: no postponed annotations together with dataclasses.
+Hydra executes this module outside `sys.modules`: do not combine postponed annotations with dataclasses.
 """
 
 import logging
@@ -28,7 +28,7 @@ from hydra_plugins.ahnn_sweeper import _forked
 
 logger = logging.getLogger(__name__)
 _CONFIG_FLAGS = ("config_path", "config_name", "config_dir")
-_TAIL = 5  # lines of a failed job's output that are shown at once
+_TAIL = 5  # number of output lines of a failed job shown immediately
 
 
 class ProcessLauncher(Launcher):
@@ -37,8 +37,8 @@ class ProcessLauncher(Launcher):
     The output of a job is in the `console.log` of its folder.
 
     Args:
-        n_jobs: jobs that run at the same time.
-        imports: modules that are imported once for all jobs.
+        n_jobs: number of parallel jobs.
+        imports: modules imported once for all jobs.
     """
 
     def __init__(self, n_jobs: int, imports: Sequence[str] = ()) -> None:
@@ -50,12 +50,12 @@ class ProcessLauncher(Launcher):
         self._ended = False
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:  # noqa: ARG002
-        """Take what Hydra hands over; the task is reached through the command line."""
+        """Store Hydra's arguments; the task is invoked through the command line."""
         self.config = config
         self.hydra_context = hydra_context
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
-        """Run the jobs and wait for all of them, whatever happens to one."""
+        """Run the jobs and wait for all of them, even if some fail."""
         setup_globals()
         _forked.serve(self.imports)
         numbers = range(initial_job_idx, initial_job_idx + len(job_overrides))
@@ -64,7 +64,7 @@ class ProcessLauncher(Launcher):
         self._ended = False
         try:
             returns = list(pool.map(self._run, numbers, job_overrides, folders))
-        finally:  # an interrupt of the sweep ends its jobs
+        finally:  # an interrupt of the sweep terminates its jobs
             self._ended = True
             pool.shutdown(wait=False, cancel_futures=True)
             for process in list(self._running):
@@ -76,7 +76,7 @@ class ProcessLauncher(Launcher):
         return returns
 
     def _folder(self, number: int, overrides: list[str]) -> Path:
-        """Compose the job, so that a wrong override stops before anything runs, and return its folder."""
+        """Compose the job, to detect wrong overrides before any run, and return its folder."""
         assert self.config is not None
         assert self.hydra_context is not None
         config = self.hydra_context.config_loader.load_sweep_config(self.config, overrides)
@@ -98,7 +98,7 @@ class ProcessLauncher(Launcher):
         log = folder / "console.log"
         process = _forked.start(_program(), self._arguments(number, overrides, folder), log)
         self._running.add(process)
-        if self._ended:  # by an interrupt while the process came up, when nobody knew it
+        if self._ended:  # by an interrupt during process start
             process.terminate()
         code = _forked.exit_code(process)
         self._running.discard(process)
@@ -109,7 +109,7 @@ class ProcessLauncher(Launcher):
             )
             reason = f"job #{number} {how} after {time.monotonic() - begin:.1f} s; its output is in {log}"
             job.status, job._return_value = JobStatus.FAILED, RuntimeError(reason)
-            if not self._ended:  # else it ends because the sweep does, which says so itself
+            if not self._ended:  # otherwise it ends with the sweep, which reports the reason
                 tail = log.read_text(errors="replace").splitlines()[-_TAIL:]
                 logger.error("%s\n%s", reason, "\n".join(f"    {line}" for line in tail))
         return job

@@ -1,4 +1,4 @@
-"""The sweeper that Hydra instantiates for `hydra/sweeper=ahnn_optuna`.
+"""Sweeper instantiated by Hydra for `hydra/sweeper=ahnn_optuna`.
 
 Hydra executes this module outside `sys.modules`, so it must not combine postponed annotations with
 dataclasses, and it imports Optuna inside functions because every start of every Hydra application imports it.
@@ -38,15 +38,14 @@ class AhnnOptunaSweeper(Sweeper):
     Args:
         study_name: name of the study in its storage.
         storage: `journal:///PATH`, `sqlite:///PATH`, `postgresql+psycopg://HOST/DATABASE` or
-            `grpc://HOST:PORT`, a proxy of Optuna; null is a journal file in the sweep folder.
+            `grpc://HOST:PORT`, a proxy of Optuna; null for a journal file in the sweep folder.
         direction: `minimize` or `maximize` the value that the job returns.
-        n_trials: trials that the study shall have in the end, over all starts and all machines.
-        batch_size: trials that are handed to the launcher at once.
+        n_trials: final number of trials of the study, over all starts and machines.
+        batch_size: number of trials passed to the launcher at once.
         sampler: configuration of an Optuna sampler. A seed in it is combined with the number of each trial,
-            so that a continued study and parallel workers do not draw the same parameters again.
+            so that continued studies and parallel workers draw different parameters.
         params: search space, key to sweep in Hydra's grammar; see `_space`.
-        below: of each pair key: other, `key` gets half the value of `other` where it was drawn equal or
-            larger.
+        below: for each pair key: other, `key` is set to half of `other` if drawn equal or larger.
     """
 
     def __init__(
@@ -74,7 +73,7 @@ class AhnnOptunaSweeper(Sweeper):
         self.task_function: TaskFunction | None = None
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
-        """Take what Hydra hands over and build the launcher."""
+        """Store Hydra's arguments and build the launcher."""
         self.config = config
         self.hydra_context = hydra_context
         self.task_function = task_function
@@ -86,10 +85,9 @@ class AhnnOptunaSweeper(Sweeper):
         """Run trials until the study has `n_trials`, then write the results.
 
         Raises:
-            HydraException: for a search space, storage or study that does not fit, and at the end, if a
-                trial failed for another reason than pruning. Hydra shows it as a message without a
-                traceback, exit code 1.
-            Stopped: by a signal; the message says that the search goes on.
+            HydraException: invalid search space, storage or study, and at the end, if a trial failed for a
+                reason other than pruning. Hydra shows it as a message without a traceback, exit code 1.
+            Stopped: on a signal; the message explains how the search continues.
         """
         try:
             failed = self._sweep(arguments)
@@ -103,7 +101,7 @@ class AhnnOptunaSweeper(Sweeper):
             raise HydraException(message)
 
     def _sweep(self, arguments: Sequence[str]) -> int:
-        """Do the work of `sweep` and return the number of failed trials."""
+        """Run the search and return the number of failed trials."""
         from hydra_plugins.ahnn_sweeper import _report, _study
 
         assert self.config is not None
@@ -119,7 +117,7 @@ class AhnnOptunaSweeper(Sweeper):
         )
 
     def _space(self, arguments: Sequence[str]) -> "SearchSpace":
-        """Return the search space after a job was composed from one draw of it: a wrong key stops here."""
+        """Return the search space after test composition of one draw, which detects wrong keys."""
         import optuna
 
         from hydra_plugins.ahnn_sweeper import _space
@@ -144,7 +142,7 @@ class AhnnOptunaSweeper(Sweeper):
         return space
 
     def _check(self, job: DictConfig) -> None:
-        """Let the task refuse a job by its attribute `check`, unless jobs run on other machines than this."""
+        """Validate a job by the task's attribute `check`, unless jobs run on other machines."""
         assert self.config is not None
         check = getattr(self.task_function, "check", None)
         if check is None or "submitit" in str(self.config.hydra.launcher.get("_target_")):
@@ -152,10 +150,10 @@ class AhnnOptunaSweeper(Sweeper):
         before = HydraConfig.instance().cfg
         with open_dict(job):
             job.hydra.job.id, job.hydra.job.num = "0", 0
-            job.hydra.mode = RunMode.RUN  # whether a job may have several devices is known without it
+            job.hydra.mode = RunMode.RUN  # multiple devices are detected without it
             job.hydra.runtime.output_dir = str(Path(str(self.config.hydra.sweep.dir)).absolute() / "0")
             HydraConfig.instance().set_config(job)
-        task = copy.deepcopy(job)  # what `hydra:` refers to keeps its root
+        task = copy.deepcopy(job)  # references to `hydra:` keep their root
         with open_dict(task):
             del task["hydra"]
         try:
@@ -164,7 +162,7 @@ class AhnnOptunaSweeper(Sweeper):
             HydraConfig.instance().cfg = before
 
     def _refuse_shared_process(self, job: DictConfig) -> None:
-        """Refuse jobs on several devices inside this process: Lightning would repeat the sweep for each."""
+        """Reject multi-device jobs in this process, since Lightning would repeat the sweep on each."""
         assert self.config is not None
         devices = OmegaConf.select(job, "trainer.devices")
         launcher = str(self.config.hydra.launcher.get("_target_")).rpartition(".")[2]
@@ -176,7 +174,7 @@ class AhnnOptunaSweeper(Sweeper):
             raise UserError(message)
 
     def _run(self, study: "optuna.Study", url: str, space: "SearchSpace") -> None:
-        """Launch trials until none is owed and none of another worker is running."""
+        """Launch trials until none remains and none runs in other workers."""
         import time
 
         from hydra_plugins.ahnn_sweeper import _ledger, _study
@@ -201,7 +199,7 @@ class AhnnOptunaSweeper(Sweeper):
     def _launch(
         self, study: "optuna.Study", url: str, space: "SearchSpace", batch: "list[optuna.Trial]"
     ) -> None:
-        """Launch one batch; whatever becomes of it, each of its trials is finished or put back afterwards."""
+        """Launch one batch; in any case each of its trials is finished or requeued afterwards."""
         from hydra_plugins.ahnn_sweeper import _ledger
         from hydra_plugins.ahnn_sweeper._owner import Lease
 
@@ -215,7 +213,7 @@ class AhnnOptunaSweeper(Sweeper):
         with Lease(study._storage, [trial._trial_id for trial in batch]):
             try:
                 self.launcher.launch(jobs, initial_job_idx=batch[0].number)
-            except Exception as error:  # joblib kills the others when one worker is killed, and raises
+            except Exception as error:  # joblib kills the other workers when one is killed, and raises
                 if not _ledger.any_started(study, [trial.number for trial in batch]):
                     raise
                 all_ended = False
@@ -223,7 +221,7 @@ class AhnnOptunaSweeper(Sweeper):
             _ledger.settle(study, url, [trial.number for trial in batch], all_ended)
 
     def _trial_overrides(self, url: str, trial: "optuna.Trial") -> list[str]:
-        """Return the overrides that show a job its trial; its folder is always the number of the trial."""
+        """Return the overrides that pass a trial to its job; its folder is named by the trial number."""
         node = (
             f"{{_target_:hydra_plugins.ahnn_sweeper.load_trial,storage:'{url}',"
             f"study_name:'{self.study_name}',trial_id:{trial._trial_id}}}"
@@ -232,9 +230,9 @@ class AhnnOptunaSweeper(Sweeper):
 
 
 def _kept_below(params: Mapping[str, Any], below: Mapping[Any, Any]) -> dict[str, Any]:
-    """Return the parameters with each key of `below` smaller than its other, where both are searched.
+    """Return the parameters with each key of `below` less than its counterpart, if both are searched.
 
-    The study keeps the drawn value: the sampler sees that all draws above the limit do the same.
+    The study keeps the drawn value: the sampler learns that all draws above the limit are equivalent.
     """
     used = dict(params)
     for key, other in below.items():

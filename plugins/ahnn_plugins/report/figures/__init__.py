@@ -1,4 +1,4 @@
-"""The figures of a report, from runs and their arrays to drawings; what has no data is left out."""
+"""Figures of a report, from runs and their arrays; figures without data are omitted."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ FAMILIES: tuple[Callable[[Task], list[Drawing]], ...] = (
 
 
 def draw(collection: Collection) -> list[Drawing]:
-    """Return the figures of a report, those of one system together, each under a name of its own.
+    """Return the figures of a report, grouped by system, with unique names.
 
     Raises:
         UserError: the arrays of a run are damaged.
@@ -55,7 +55,7 @@ def _drawings(collection: Collection) -> Iterator[Drawing]:
 
 
 def _renamed(drawings: Iterable[Drawing]) -> Iterator[Drawing]:
-    """Yield drawings with names that differ: two systems may have one name for files."""
+    """Yield drawings with unique names, since file names of systems may coincide."""
     seen: Counter[str] = Counter()
     for drawing in drawings:
         seen[drawing.name] += 1

@@ -1,4 +1,4 @@
-"""What pulls a satellite along the reference orbit: the terms of the gravity field, one by one (figure 4)."""
+"""Accelerations along the reference orbit by terms of the gravity field (figure 4)."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from ahnn_plugins.report.drawing import Drawing, Panel
 from ahnn_plugins.report.figures.curves import curve
 
 ALTITUDE, ECCENTRICITY, INCLINATION = 550.0, 0.75, 63.4
-"""Of the reference orbit: periapsis altitude in km, and degrees. Its node is at 0, its periapsis at 270."""
+"""Reference orbit: periapsis altitude in km, and angles in degrees. Node at 0, periapsis at 270."""
 SAMPLES = 721
 
 
 def acceleration_drawing() -> Drawing:
-    """Return the sizes of the accelerations over the true anomaly."""
+    """Plot the magnitudes of accelerations over the true anomaly."""
     anomaly = torch.linspace(-180.0, 180.0, SAMPLES, dtype=torch.float64)
     field = ggm05c()
     q = reference_orbit(anomaly, field.radius)
@@ -40,11 +40,11 @@ def acceleration_drawing() -> Drawing:
 
 
 def reference_orbit(anomaly: Tensor, radius: float) -> Tensor:
-    """Return positions (T, 3) in km at true anomalies (T,) in degrees, about a body of this radius in km."""
+    """Return positions (T, 3) in km at true anomalies (T,) in degrees, about a body of given radius in km."""
     nu, i = torch.deg2rad(anomaly), math.radians(INCLINATION)
     semi_latus_rectum = (radius + ALTITUDE) * (1 + ECCENTRICITY)
     r = semi_latus_rectum / (1 + ECCENTRICITY * nu.cos())
-    u = nu - math.pi / 2  # argument of latitude, from a periapsis at 270 degrees
+    u = nu - math.pi / 2  # argument of latitude, for a periapsis at 270 degrees
     return r[:, None] * torch.stack((u.cos(), u.sin() * math.cos(i), u.sin() * math.sin(i)), dim=-1)
 
 
@@ -57,7 +57,7 @@ def terms(field: GravityField) -> dict[str, GravityField]:
 
 
 def _part(field: GravityField, degrees: slice, orders: slice) -> GravityField:
-    """Return a field with some of its coefficients alone."""
+    """Return a field restricted to some coefficients."""
     parts = {}
     for name in ("cosines", "sines"):
         whole = getattr(field, name)

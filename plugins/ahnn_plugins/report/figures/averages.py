@@ -20,20 +20,20 @@ PAPER = {
     ("molniya", False): "11",
     ("molniya", True): "12",
 }
-"""Figures of the paper, by system and by whether there is a filter."""
+"""Figures of the paper, by system and by use of a filter."""
 
 
 def average_drawings(task: Task) -> list[Drawing]:
-    """Return moving averages from every start without and with a filter, and those of each component.
+    """Plot moving averages from every start without and with a filter, also by component.
 
-    Of a single run there are its errors besides as they are, sample by sample.
+    For a single run the unsmoothed errors are also shown.
     """
     found = []
     for prefix in ("", "ukf/"):
         for start in STARTS:
             if any(f"{prefix}{start}" in run.rms for run in task.drawn):
                 found.append(_norms(task, prefix, start))
-                # The paper has components of the orbit alone, from one start.
+                # The paper shows only components of the orbit, from one start.
                 if task.lead.space.dof > 1 and start == ("perturbed" if prefix else "true"):
                     found.append(_components(task, prefix, start))
     runs = [run for runs in task.models.values() for run in runs]
@@ -90,7 +90,7 @@ def _panel(task: Task, key: str, column: int, label: str, smooth: Callable[[Tens
 
 
 def _floor(task: Task, key: str, column: int, smooth: Callable[[Tensor], Tensor]) -> list[Series]:
-    """Return what perfect knowledge scores; with a filter the norms alone are kept, as averages."""
+    """Return the floor; with a filter only averaged norms are available."""
     prefix, _, start = key.rpartition("/")
     block = column - 2 * task.lead.space.dof
     for run in task.drawn:

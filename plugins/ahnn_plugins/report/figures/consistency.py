@@ -1,4 +1,4 @@
-"""NEES of the filters over time, beside the band in which that of a consistent one lies."""
+"""NEES of the filters over time, with the band of a consistent filter."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ahnn_plugins.report.figures.task import Task, over_seeds, time_label
 
 
 def consistency_drawings(task: Task) -> list[Drawing]:
-    """Return the NEES from every start that a filter began at, one below the other."""
+    """Plot the NEES from every start of a filter, in stacked panels."""
     starts = [start for start in STARTS if any(start in run.nees for run in task.drawn)]
     if not starts:
         return []

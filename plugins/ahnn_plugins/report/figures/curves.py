@@ -1,4 +1,4 @@
-"""Series from arrays: thinned to what a screen shows, gaps where nothing can be drawn."""
+"""Series from arrays: thinned to screen resolution, with gaps for undrawable values."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ahnn_plugins.report.drawing import Role, Series
 from ahnn_plugins.report.thinning import along, extremes
 
 Band = tuple[Tensor, Tensor]
-"""The lower and the upper edge of a band, each (T,)."""
+"""Lower and upper edge of a band, each (T,)."""
 
 
 def curve(
@@ -23,7 +23,7 @@ def curve(
     band: Band | None = None,
     log: bool = False,
 ) -> Series:
-    """Return a curve over time, (T,), whose spikes survive; what is not positive is a gap on a log axis."""
+    """Return a curve over time, (T,), preserving spikes; non-positive values are gaps on a log axis."""
     columns = [drawable(part, log=log) for part in (y, *(band or ()))]
     at = extremes(columns)
     low, high = (column[at] for column in columns[1:]) if band else (None, None)
@@ -38,7 +38,7 @@ def path(
     slot: int = 0,
     hover: dict[str, Tensor] | None = None,
 ) -> Series:
-    """Return a path through the points (T, 2) or (T, 3), about equally dense everywhere."""
+    """Return a path through the points (T, 2) or (T, 3), with about uniform density."""
     points = drawable(points)
     at = along(points)
     x, y, *z = points[at].unbind(-1)
@@ -47,16 +47,16 @@ def path(
 
 
 def drawable(values: Tensor, *, log: bool = False) -> Tensor:
-    """Return values with NaN for those that have no place on an axis."""
+    """Return values with NaN for those not drawable on an axis."""
     there = values.abs() < LOST
     return values.masked_fill(~(there & (values > 0) if log else there), torch.nan)
 
 
 def cut(points: Tensor, truth: Tensor, times: float = 3.0) -> Tensor:
-    """Return points (T, n) with NaN from where they first leave the truth far behind.
+    """Return points (T, n) with NaN from where they first diverge far from the truth.
 
-    Far is `times` the greatest extent of the truth, from its centre: one lost prediction does not shrink all
-    others to a dot.
+    The limit is `times` the greatest extent of the truth, from its centre, so that a diverged prediction does
+    not shrink all others to a dot.
     """
     known = truth[truth.isfinite().all(-1)]
     if not len(known):

@@ -10,7 +10,7 @@ FIGURES = {"mass_spring": " (figure 5b of the paper)", "molniya": " (figure 7 of
 
 
 def energy_drawings(task: Task) -> list[Drawing]:
-    """Return the energy of the first test trajectory and how far it is off, where the system is known."""
+    """Plot energy and energy error of the first test trajectory, for known systems."""
     lead, system = task.lead, task.lead.system
     if system is None or not lead.start or lead.known == "measurements":
         return []

@@ -1,4 +1,4 @@
-"""The equations of a run's system, from its configuration as data: only systems of this library are built."""
+"""Equations of a run's system from its configuration, restricted to systems of this library."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ KNOWN: dict[str, type[System]] = {
 
 
 def system_of(entry: Entry) -> System | None:
-    """Return the system of a run, None where no configuration tells a system of this library.
+    """Return the system of a run; None unless configured as a system of this library.
 
-    A run folder may come from elsewhere: its YAML is read as plain values, a class is one of `KNOWN`, and no
-    file that it names is opened. A system that does not fit the results is none.
+    Run folders are untrusted: the YAML is read as plain values, the class must be in `KNOWN`, and no named
+    file is opened. A system inconsistent with the results gives None.
     """
     own, run = (folder / "config.yaml" for folder in (entry.folder, training_folder(entry)))
     options = _options(own if own.is_file() else run)
@@ -40,7 +40,7 @@ def system_of(entry: Entry) -> System | None:
 
 
 def _options(path: Path) -> dict[str, Any]:
-    """Return what a configuration says of the system, nothing where it is not there or no YAML."""
+    """Return the system options of a configuration; empty if missing or not YAML."""
     try:
         node = read_plain(path).get("system")
     except UserError:
@@ -51,6 +51,6 @@ def _options(path: Path) -> dict[str, Any]:
 
 
 def _is_plain(value: Any) -> bool:
-    """Return whether a value is one number or text, or a list of them: what nests can grow without limit."""
+    """Return whether a value is one number or text, or a list of them: nested values are unbounded."""
     items = value if isinstance(value, list) else [value]
     return all(item is None or isinstance(item, str | bool | int | float) for item in items)

@@ -1,4 +1,4 @@
-"""The models of a report: their order in legends, and the slot that gives each its colour and dash."""
+"""Models of a report: legend order, and slots that determine colour and dash."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from pathlib import Path
 from ahnn_plugins.report.collection import Collection, Entry
 
 ORDER = ("MLP", "NODE", "HNN", "AHNN3", "AHNN5")
-"""The models of the paper, as its tables have them."""
+"""Models of the paper, as named in its tables."""
 SLOTS = {name: slot for slot, name in enumerate(reversed(ORDER))}
-"""AHNN5, which the paper proposes, has the first."""
+"""First slot: AHNN5, proposed by the paper."""
 
 
 def ordered(models: Sequence[str]) -> list[str]:
-    """Return models in the order of the paper, those that it does not have behind."""
+    """Return models in the order of the paper, followed by others."""
     known = [name for name in ORDER if name in models]
     return known + [m for m in models if m not in known]
 
 
 def slots(collection: Collection) -> dict[str, int]:
-    """Return the slot of every model of a report, the same for all its systems."""
+    """Return the slot of every model of a report, common to all systems."""
     models = ordered(list(dict.fromkeys(entry.model for entry in collection.entries)))
     taken = {model: SLOTS[model] for model in models if model in SLOTS}
     free = (slot for slot in count() if slot not in taken.values())
@@ -29,7 +29,7 @@ def slots(collection: Collection) -> dict[str, int]:
 
 
 def one_each(entries: Iterable[Entry]) -> list[Entry]:
-    """Return the first evaluation of every training: a second one says nothing on the spread of seeds."""
+    """Return the first evaluation of every training: further ones add nothing to the spread of seeds."""
     chosen: dict[Path, Entry] = {}
     for entry in entries:
         chosen.setdefault(training_folder(entry), entry)

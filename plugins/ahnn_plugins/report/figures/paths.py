@@ -22,7 +22,7 @@ def path_drawings(task: Task) -> list[Drawing]:
 
 
 def orbits(task: Task) -> Drawing:
-    """Draw orbits in space, the planet to scale where its radius is known."""
+    """Draw orbits in space, with the planet to scale if its radius is known."""
     lead = task.lead
     x, y, z = state_labels(lead)[:3]
     radius = float(getattr(lead.system, "r_eq", 0.0))
@@ -43,7 +43,7 @@ def plane(task: Task) -> Drawing:
 
 
 def phase_portrait(task: Task) -> Drawing:
-    """Draw position against velocity."""
+    """Plot velocity against position."""
     dof = task.lead.space.dof
     title = "phase portrait (figure 5a of the paper)" if task.system == "mass_spring" else "phase portrait"
     return _flat(task, "phase_portrait", title, slice(0, 2 * dof, dof))
@@ -63,12 +63,12 @@ def _flat(task: Task, name: str, title: str, columns: slice) -> Drawing:
 
 
 def _behind(series: list[Series]) -> tuple[Series, ...]:
-    """Return series with the truth last: its thin interrupted line lies over the others."""
+    """Return series with the truth last, so that its thin dashed line is on top."""
     return (*series[1:], series[0])
 
 
 def _told(run: Kept, points: Tensor, radius: float, truth: Tensor | None = None) -> dict[str, Tensor]:
-    """Return time, altitude or distance from the origin, and the error of positions (T, 3)."""
+    """Return the tooltip values of positions (T, 3): time, altitude or distance, and error."""
     unit = run.space.units.position
     distance = points.norm(dim=-1)
     where = {f"altitude [{unit}]": distance - radius} if radius else {f"distance [{unit}]": distance}

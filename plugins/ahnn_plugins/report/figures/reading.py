@@ -1,4 +1,4 @@
-"""What the figures need of a run's arrays: each is read once, reduced, and let go."""
+"""Reading and reduction of a run's arrays for figures."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from ahnn_plugins.report.figures.equations import system_of
 from ahnn_plugins.report.scores import plain_filter
 
 HOURS = 7200.0
-"""Seconds beyond which an axis of time has hours."""
+"""Duration in seconds above which a time axis uses hours."""
 STARTS = ("true", "perturbed", "fitted")
 
 
 class Teeth(NamedTuple):
-    """A filter along one trajectory, before and after every update in turn.
+    """Filter along one trajectory, alternating before and after updates.
 
     Attributes:
-        time: (K,).
+        time: (K,) times.
         truth, mean, deviation: (K, D), velocities in place of momenta.
-        updates: (K,) bool, whether an update has just been made.
-        member: number of the trajectory.
+        updates: (K,) bool, whether the entry is after an update.
+        member: index of the trajectory.
     """
 
     time: Tensor
@@ -43,24 +43,24 @@ class Teeth(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """What is left of the arrays of a run.
+    """Reduced arrays of a run.
 
     Attributes:
-        entry: the run.
-        slot: of its model.
-        system: its equations, or None where they are not known here.
+        entry: run.
+        slot: slot of its model.
+        system: its equations, or None if unknown.
         time: (T,) since the start, in `unit`.
-        unit: of the time.
-        known: what predictions are held against: `truth`, `test data` or `measurements`.
-        members: how many test trajectories there are.
+        unit: unit of time.
+        known: reference of predictions: `truth`, `test data` or `measurements`.
+        members: number of test trajectories.
         path: (T, D) the first of them.
-        first: the first trajectory as it is predicted, (T, D), by start, such as `true`, and by `floor`.
+        first: predicted first trajectory, (T, D), by start, such as `true`, and by `floor`.
         rms: root mean square over trajectories of the errors, (T, D + 2): of each component, then norms of
             position and velocity; by `true`, `floor_true`, `ukf/true` and so on.
-        averages: moving averages of norms that were kept as such, (2, T), by `ukf/floor_true` and so on.
+        averages: stored moving averages of norms, (2, T), by `ukf/floor_true` and so on.
         nees: mean over trajectories, (T,), by start.
-        teeth: of the filter, by start.
-        deviations: (T, D) of the first trajectory, where the parameters of the model have a covariance.
+        teeth: filter estimates, by start.
+        deviations: (T, D) standard deviations of the first trajectory, if the parameter covariance is known.
     """
 
     entry: Entry
@@ -85,20 +85,20 @@ class Kept(NamedTuple):
 
     @property
     def space(self) -> Space:
-        """What the numbers mean."""
+        """Description of the state components."""
         return self.entry.results.space
 
     @property
     def start(self) -> str:
-        """The start whose rollouts are drawn."""
+        """Start of the plotted rollouts."""
         return next(start for start in (*STARTS, "") if start in self.first or not start)
 
 
 def kept(entry: Entry, slot: int) -> Kept | None:
-    """Return what figures need of a run, or None where it kept no predictions.
+    """Reduce the arrays of a run for figures; None without saved predictions.
 
     Raises:
-        UserError: its file is damaged, or holds arrays of other shapes.
+        UserError: its file is damaged, or contains arrays of wrong shapes.
     """
     path = entry.folder / PREDICTIONS
     if not path.exists():
@@ -113,14 +113,14 @@ def kept(entry: Entry, slot: int) -> Kept | None:
 
 
 class Arrays(NamedTuple):
-    """An open file of arrays."""
+    """Open array file."""
 
     path: Path
     file: Any
     keys: set[str]
 
     def get(self, key: str, shape: tuple[int | None, ...]) -> Tensor | None:
-        """Return an array as float64, None if it is not there; raises UserError for another shape."""
+        """Return an array as float64, None if missing; raises UserError for a wrong shape."""
         if key not in self.keys:
             return None
         array = self.file.get_tensor(key)
@@ -158,10 +158,11 @@ def _reduced(arrays: Arrays, entry: Entry, slot: int) -> Kept | None:
             states = arrays.get(key, (batch, samples, size))
             if states is None:
                 continue
-            # What a filter has lost drops out, as in its own figures; a lost rollout is infinitely wrong.
+            # Members lost by a filter are excluded, as in its own figures; a diverged rollout has infinite
+            # error.
             error = states - truth if name.startswith("ukf/") else errors(states, truth)
             found.rms[name] = _rms(error, space.divisor)
-            found.first[name] = states[0].clone()  # a view would hold the whole array
+            found.first[name] = states[0].clone()  # copied, since a view would keep the whole array
         nees = arrays.get(f"{own}/{start}_nees", (batch, samples))
         average = arrays.get(f"{own}/{start}_sma_floor", (2, samples))
         teeth = _teeth(arrays, f"{own}/{start}", truth, time, space.divisor)
@@ -172,7 +173,7 @@ def _reduced(arrays: Arrays, entry: Entry, slot: int) -> Kept | None:
 
 
 def _names(start: str, own: str) -> tuple[tuple[str, str], ...]:
-    """Return the keys of the rollouts of a start, and what they are called here, whatever the filter."""
+    """Return the keys of the rollouts of a start, and their names here, for any filter."""
     return (
         (f"{start}_start", start),
         (f"floor_{start}_start", f"floor_{start}"),
@@ -181,12 +182,12 @@ def _names(start: str, own: str) -> tuple[tuple[str, str], ...]:
 
 
 def _has_floor(entry: Entry) -> bool:
-    """Return whether the equations were known where the run was evaluated."""
+    """Return whether the equations were known to the evaluation."""
     return any(row.who.floor for row in entry.results.rows)
 
 
 def _time(times: Tensor | None, samples: int, unit: str) -> tuple[Tensor, str]:
-    """Return the mean times since the start, (T,), with their unit, or numbers of samples."""
+    """Return the mean times since the start, (T,), with their unit, or sample numbers."""
     numbers = torch.arange(samples, dtype=torch.float64)
     if times is None:
         return numbers, "samples"
@@ -212,7 +213,7 @@ def _rms(error: Tensor, inertia: float | Tensor) -> Tensor:
 
 
 def _teeth(arrays: Arrays, prefix: str, truth: Tensor, time: Tensor, inertia: float | Tensor) -> Teeth | None:
-    """Return the drawn trajectory of a filter, None of an evaluation that did not keep it."""
+    """Return the drawn trajectory of a filter, None if not saved."""
     shape = (2 * len(time) - 1, truth.shape[-1])
     mean = arrays.get(f"{prefix}_sawtooth_mean", shape)
     deviation = arrays.get(f"{prefix}_sawtooth_deviation", shape)

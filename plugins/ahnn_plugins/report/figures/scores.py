@@ -1,4 +1,4 @@
-"""RMSE of every model with its spread over seeds, beside the floor and what the paper prints."""
+"""RMSE of every model with spread over seeds, floor and the paper's value."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from ahnn_plugins.report.scores import plain_filter
 Quantity = Literal["position", "velocity", "energy"]
 
 BESIDE = 0.17
-"""How far left of its place a model stands, and how far right of it the same model with a filter."""
+"""Horizontal offsets of a model without and with filter."""
 SIDES = "Left without measurements, right of it with the filter. "
 DOTS = "Dots are means over seeds, lines their range. "
 MEANING = "RMSE: mean over test trajectories of the rms vector norm; floor: what perfect knowledge scores."
 
 
 class Dot(NamedTuple):
-    """A score at a place of an axis, with the range of several seeds."""
+    """Score at an axis position, with its range over seeds."""
 
     place: float
     values: tuple[float, ...]
 
 
 def score_drawings(collection: Collection, system: str, slots: dict[str, int]) -> list[Drawing]:
-    """Return the scores from every start, and those over the window of the loss where it varies."""
+    """Plot the scores from every start, and over the loss window if it varies."""
     entries = one_each(collection.of(system))
     models = ordered(list(dict.fromkeys(entry.model for entry in entries)))
     groups = [[e for e in entries if e.model == model] for model in models]
@@ -79,7 +79,7 @@ def _of_model(runs: list[Entry], start: str, quantity: Quantity, place: int, slo
 def _scores(
     runs: Sequence[Entry], start: str, quantity: Quantity, estimator: str | None, *, floor: bool
 ) -> tuple[float, ...]:
-    """Return the scores of the whole span, one for each run that has one."""
+    """Return the scores of the whole span, one per run that contains it."""
     found = []
     for run in runs:
         for row in run.results.rows:
@@ -100,7 +100,7 @@ def _printed(system: str, model: str, start: str, quantity: Quantity, place: int
 
 
 def _dots(label: str, dots: Sequence[Dot], role: Role, slot: int = 0) -> list[Series]:
-    """Return one series of means with ranges, none where nothing is positive and fit for an axis."""
+    """Return one series of means with ranges, empty without positive, drawable values."""
     rows = []
     for dot in dots:
         values = [v for v in dot.values if 0 < v < LOST]
@@ -114,7 +114,7 @@ def _dots(label: str, dots: Sequence[Dot], role: Role, slot: int = 0) -> list[Se
 
 
 def _merged(series: Sequence[Series]) -> tuple[Series, ...]:
-    """Return series with those of floors, and those of the paper, made one and put last."""
+    """Return series with those of floors, and of the paper, merged and placed last."""
     found: dict[tuple[str, Role], Series] = {}
     for each in series:
         key = each.label, each.role
@@ -127,7 +127,7 @@ def _merged(series: Sequence[Series]) -> tuple[Series, ...]:
 
 
 def _ablation(system: str, entries: Sequence[Entry], slots: dict[str, int]) -> Drawing | None:
-    """Return scores over the window W of the loss, of Hamiltonian models that assume the same."""
+    """Return scores over the window W of the loss, for Hamiltonian models with equal assumptions."""
     groups: dict[int, list[Entry]] = {}
     assumes = next((e.results.assumes for e in entries if "Hamiltonian" in e.results.assumes), None)
     for entry in entries:

@@ -1,4 +1,4 @@
-"""What a model believes along one trajectory, beside what was true: the filter's band, the prediction's."""
+"""Estimated and predicted states with bands along one trajectory, compared with the truth."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from ahnn_plugins.report.figures.task import Task, state_labels, time_label
 from ahnn_plugins.report.scores import plain_filter
 
 WIDE = 3.0
-"""Half width of the bands, in standard deviations."""
+"""Half-width of the bands, in standard deviations."""
 PAPER = {"mass_spring": "6", "molniya": "8"}
 ROOM = 1.08
-"""Of the frame to what it shows."""
+"""Margin of the frame relative to its content."""
 
 
 def state_drawings(task: Task) -> list[Drawing]:
-    """Return the state that a filter estimates and its error, and the error in the band of a prediction.
+    """Plot filter estimates and errors, and prediction errors with their band.
 
     The filter is that of AHNN5, as in the paper; without it, of the model whose filter is the best.
     """
@@ -39,7 +39,7 @@ def _filtered(task: Task) -> Kept | None:
 
 
 def _score(run: Kept) -> float:
-    """Return the least position error of a filter from any start, infinite where it was not scored."""
+    """Return the least position error of a filter from any start, infinite if not scored."""
     own = plain_filter([run.entry])
     rows = [row for row in run.entry.results.rows if row.who.estimator == own and not row.who.floor]
     return min((row.scores.position for row in rows if row.scores.position < torch.inf), default=torch.inf)
@@ -85,7 +85,7 @@ def _errors(task: Task, run: Kept, teeth: Teeth, start: str) -> Drawing:
 
 
 def _band(task: Task, run: Kept) -> Drawing:
-    """Draw the error of a prediction in the band that the covariance of its parameters gives."""
+    """Plot the error of a prediction with the band of the parameter covariance."""
     assert run.deviations is not None
     inertia, panels = run.space.divisor, []
     error = velocities(run.first["true"], inertia) - velocities(run.path, inertia)
@@ -106,7 +106,7 @@ def _marks(teeth: Teeth, values: Tensor) -> Series:
 
 
 def _frame(values: Tensor) -> tuple[float, float] | None:
-    """Return limits that hold finite values, with a margin."""
+    """Return limits of finite values, with a margin."""
     values = values[values.isfinite()]
     if not len(values) or float(values.max()) <= float(values.min()):
         return None

@@ -1,4 +1,4 @@
-"""The runs of one system that a figure compares: all were tested on the same trajectories."""
+"""Runs of one system compared in a figure, all tested on the same trajectories."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from ahnn_plugins.report.figures.reading import Kept
 
 
 class Task(NamedTuple):
-    """The runs of a system, by model in the order of legends, and what captions say of all of them.
+    """The runs of a system, by model in legend order, and notes for captions.
 
     Attributes:
-        system: its name.
-        models: the runs of each model, one for each seed.
-        note: which runs are left out, and why.
+        system: system name.
+        models: the runs of each model, one per seed.
+        note: omitted runs, with reasons.
     """
 
     system: str
@@ -31,18 +31,18 @@ class Task(NamedTuple):
 
     @property
     def lead(self) -> Kept:
-        """A run that speaks for all of them where they agree: on times, units and the truth."""
+        """Representative run for common properties: times, units and truth."""
         return next(iter(self.models.values()))[0]
 
     @property
     def drawn(self) -> list[Kept]:
-        """The first run of each model, whose trajectories are drawn."""
+        """First run of each model, used for trajectories."""
         return [runs[0] for runs in self.models.values()]
 
     def drawing(
         self, name: str, title: str, caption: str, panels: Iterable[Panel], kind: Kind = "lines"
     ) -> Drawing:
-        """Return a figure of this system; the name of its file is one on every disk."""
+        """Build a figure of this system, with a portable file name."""
         words = (caption, self.note)
         return Drawing(
             f"{file_name(self.system)}_{name}",
@@ -53,18 +53,18 @@ class Task(NamedTuple):
         )
 
     def one_run_each(self) -> str:
-        """Return a sentence on which runs trajectories are of."""
+        """Return a sentence on the runs shown as trajectories."""
         several = any(len(runs) > 1 for runs in self.models.values())
         return f"Runs: {', '.join(k.entry.folder.name for k in self.drawn)}." if several else ""
 
     def spread(self) -> str:
-        """Return a sentence on what lines and bands are of several seeds."""
+        """Return a sentence on the meaning of lines and bands for several seeds."""
         most = max(len(runs) for runs in self.models.values())
         return f"Lines are means over up to {most} seeds, bands their range." if most > 1 else ""
 
 
 def make_task(system: str, runs: list[Kept]) -> Task:
-    """Return the runs of a system that were tested on what most of them were tested on."""
+    """Select the runs of a system with the most common test data."""
     votes = [sum(_same_test(run, other) for other in runs) for run in runs]
     chosen = runs[votes.index(max(votes))]
     same = [run for run in runs if _same_test(run, chosen)]
@@ -76,7 +76,7 @@ def make_task(system: str, runs: list[Kept]) -> Task:
 
 
 def _seed(run: Kept) -> float:
-    """Return the seed of a training, first of all where it is not known."""
+    """Return the seed of a training, sorted first if unknown."""
     seed = run.entry.seed
     return seed if isinstance(seed, int | float) else -1.0
 
@@ -87,7 +87,7 @@ def _same_test(one: Kept, other: Kept) -> bool:
 
 
 def over_seeds(values: Iterable[Tensor]) -> tuple[Tensor, Band | None]:
-    """Return the mean of the values (T,) of several seeds and their range; one seed alone has none."""
+    """Return the mean of the values (T,) of several seeds and their range; no range for a single seed."""
     stack = torch.stack(list(values))
     stack = stack.masked_fill(~stack.isfinite(), torch.nan)
     mean = stack.mean(0)
@@ -95,12 +95,12 @@ def over_seeds(values: Iterable[Tensor]) -> tuple[Tensor, Band | None]:
 
 
 def file_name(name: str) -> str:
-    """Return a name that is a plain file on any disk."""
+    """Return a portable file name."""
     return re.sub(r"[^\w-]+", "_", name, flags=re.ASCII).strip("_")[:60] or "system"
 
 
 def state_labels(run: Kept) -> list[str]:
-    """Return the names of the state components with their units, momenta as velocities where they are."""
+    """Return the names of the state components with their units, momenta as velocities if applicable."""
     return components(run.space)
 
 
@@ -110,5 +110,5 @@ def time_label(run: Kept) -> str:
 
 
 def title_of(start: str) -> str:
-    """Return what a start is called in titles."""
+    """Return the name of a start in titles."""
     return f"{start} start"
