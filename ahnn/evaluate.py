@@ -6,7 +6,7 @@ ckpt=best           the weights to evaluate: best, last, or a path
 name=NAME           name of this evaluation, stored in DIR/evaluations/NAME; default: date and time
 plugins=NAME        also measurement=NAME: options of the library's groups
 measurement.bias_sd=NUMBER      also bias_memory=: biases of the sensors, simulated and estimated
-KEY=VALUE           settings of system, data, evaluation, measurement and plugins, for example other data
+KEY=VALUE           settings of system, data, evaluation, measurement and plugins
 --trust             build any class named in the folder's config.yaml; only for files you trust
 """
 

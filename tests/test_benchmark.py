@@ -11,7 +11,7 @@ import torch
 from entry import call
 
 import ahnn.benchmark
-from ahnn.cli import benchmarking, drawings
+from ahnn.cli import benchmarking, numbered_draws
 from ahnn.cli.benchmarking import BenchmarkRequest, DrawnTraining
 from ahnn.tasks import TASKS, Draw, FieldTask
 from ahnn.types import Space, Trajectories
@@ -49,13 +49,13 @@ def test_a_training_leaves_run_and_score_or_nothing(known, tmp_path, monkeypatch
     monkeypatch.setattr(benchmarking, "write_atomically", lambda *_: (_ for _ in ()).throw(OSError("full")))
     with pytest.raises(OSError, match="full"):
         benchmarking.one(training)
-    assert not drawings.finished(training)
+    assert not numbered_draws.finished(training)
     assert [path.name for path in training.folder.parent.iterdir()] == []
     monkeypatch.undo()
     monkeypatch.setitem(TASKS, "spring", known)
     benchmarking.one(training)
-    assert drawings.finished(training)
-    assert 0 <= drawings.score(training)["score"] < 1
+    assert numbered_draws.finished(training)
+    assert 0 <= numbered_draws.score(training)["score"] < 1
     assert (training.folder / "run" / "metrics.json").is_file()
     assert [path.name for path in training.folder.parent.iterdir()] == ["draw_1"]
 
@@ -65,7 +65,7 @@ def test_further_scores_and_floors_are_written_and_a_lost_prediction_is_infinite
     found = benchmarking.scored(known, lambda x, *_: x)
     assert found == {"score": math.inf, "rms": 2.0, "floor": 1e-5}
     (tmp_path / "score.json").write_text(json.dumps(found))
-    assert drawings.score(DrawnTraining("spring", "hnn", 0, tmp_path)) == found
+    assert numbered_draws.score(DrawnTraining("spring", "hnn", 0, tmp_path)) == found
 
 
 @pytest.mark.usefixtures("known")
@@ -111,7 +111,9 @@ def test_a_place_that_takes_no_folder_is_refused_before_the_work(tmp_path, capfd
 @pytest.mark.usefixtures("known")
 def test_a_failed_training_is_named_and_the_others_are_shown(tmp_path, monkeypatch, capfd):
     finished(tmp_path, "spring", "hnn", 1, 0.25)
-    monkeypatch.setattr(benchmarking, "run", lambda plan, _: [t for t in plan if not drawings.finished(t)])
+    monkeypatch.setattr(
+        benchmarking, "run", lambda plan, _: [t for t in plan if not numbered_draws.finished(t)]
+    )
     assert call("ahnn.benchmark", "spring", "draws=2", f"output={tmp_path}") == 3
     said = capfd.readouterr()
     assert "1 of 2 trainings failed, see above: spring/hnn 2" in said.err

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ahnn.arguments import Count
-from ahnn.cli.drawings import SCORE, appearing, finished, run_missing, score
 from ahnn.cli.early_stops import ended
+from ahnn.cli.numbered_draws import SCORE, appearing, finished, run_missing, score
 from ahnn.cli.pairs import divided, read_pairs
 from ahnn.errors import Occupied, TrainingError, UserError
 from ahnn.evaluation.terminal import show

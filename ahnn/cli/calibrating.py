@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Annotated, NamedTuple
 
 from ahnn.arguments import Count, Within
-from ahnn.cli.drawings import SCORE, appearing, finished, run_missing, score
 from ahnn.cli.early_stops import ended
+from ahnn.cli.numbered_draws import SCORE, appearing, finished, run_missing, score
 from ahnn.cli.pairs import read_pairs
 from ahnn.errors import Occupied, TrainingError, UserError
 from ahnn.evaluation.rank_test import rank_figure, rank_table

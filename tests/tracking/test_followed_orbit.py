@@ -108,7 +108,7 @@ def select(whole, rows):
 def numbers(path):
     with path.open() as file:
         return np.array(
-            [[float(row[name]) for name in ("x", "y", "z", "px", "py", "pz")] for row in csv.DictReader(file)]
+            [[float(row[name]) for name in ("x", "y", "z", "vx", "vy", "vz")] for row in csv.DictReader(file)]
         )
 
 

@@ -1,4 +1,4 @@
-"""Drawings of a study: a process for each, side by side, and a folder that appears with its score."""
+"""Draws of a study: a process for each, side by side, and a folder that appears with its score."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ log = logging.getLogger("ahnn")
 SIGNALLED = 128
 """Exit codes from here on are those of signals."""
 SCORE = "score.json"
-"""Of a drawing, in its folder beside the run."""
+"""Of a draw, in its folder beside the run."""
 
 
-class Drawing(Protocol):
+class NumberedDraw(Protocol):
     """One training among many."""
 
     @property
@@ -31,33 +31,33 @@ class Drawing(Protocol):
         ...
 
 
-D = TypeVar("D", bound=Drawing)
+D = TypeVar("D", bound=NumberedDraw)
 
 
-def finished(drawing: Drawing) -> bool:
+def finished(draw: NumberedDraw) -> bool:
     """Return whether the score is there; the folder appears with it."""
-    return (drawing.folder / SCORE).is_file()
+    return (draw.folder / SCORE).is_file()
 
 
-def score(drawing: Drawing) -> dict[str, Any]:
-    """Return what was written of a drawing."""
-    return read_json(drawing.folder / SCORE)
+def score(draw: NumberedDraw) -> dict[str, Any]:
+    """Return what was written of a draw."""
+    return read_json(draw.folder / SCORE)
 
 
 def run_missing(plan: Sequence[D], words: Callable[[D], list[str]], jobs: int) -> list[D]:
     """Run what is not finished, each in a process of its own; return what failed.
 
     Args:
-        plan: all drawings.
+        plan: all draws.
         words: what follows `python -m` for one of them.
         jobs: processes at a time.
     """
-    left = [drawing for drawing in plan if not finished(drawing)]
+    left = [draw for draw in plan if not finished(draw)]
     children: set[subprocess.Popen[bytes]] = set()
 
-    def start(drawing: D) -> bool:
+    def start(draw: D) -> bool:
         child = subprocess.Popen(
-            [sys.executable, "-m", *words(drawing)],
+            [sys.executable, "-m", *words(draw)],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             env={**os.environ, "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")},
@@ -65,7 +65,7 @@ def run_missing(plan: Sequence[D], words: Callable[[D], list[str]], jobs: int) -
         children.add(child)
         said = child.communicate()[1].decode(errors="replace").strip().splitlines()
         if child.returncode < SIGNALLED:  # who stopped it has said so
-            log.info("%s", said[-1] if said else f"{drawing.folder}: ended without a word")
+            log.info("%s", said[-1] if said else f"{draw.folder}: ended without a word")
         return child.returncode == 0
 
     pool = ThreadPoolExecutor(jobs)
@@ -77,7 +77,7 @@ def run_missing(plan: Sequence[D], words: Callable[[D], list[str]], jobs: int) -
         raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
-    return [drawing for drawing, well in zip(left, done, strict=True) if not well]
+    return [draw for draw, well in zip(left, done, strict=True) if not well]
 
 
 @contextlib.contextmanager
