@@ -43,7 +43,7 @@ def test_stations_of_a_file_are_followed_as_those_of_the_command_line(tmp_path, 
         out = tmp_path / f"{k}.csv"
         assert call("ahnn.assimilate", *words, *more, f"output={out}") == 0
         with out.open() as file:
-            names = "x", "y", "z", "px", "py", "pz"
+            names = "x", "y", "z", "vx", "vy", "vz"
             tracks.append(np.array([[float(row[name]) for name in names] for row in csv.DictReader(file)]))
     assert tracks[0].shape == (12, 6)
     assert np.allclose(tracks[0], tracks[1], rtol=1e-9)

@@ -102,13 +102,11 @@ def test_units_and_frame_are_those_of_the_sidecar(tmp_path):
         (Units("1", "1", "1", "1"), "1"),
     ],
 )
-def test_momenta_have_the_unit_of_what_moves(units, momentum):
-    found = units_of(SPACE._replace(units=units))
-    assert found == {
-        "time": units.time,
-        **{"x": units.position, "y": units.position},
-        **{"px": momentum, "py": momentum},
-    }
+def test_tracks_have_velocities_and_momenta_only_where_these_are_none(units, momentum):
+    space = SPACE._replace(units=units)
+    positions = {"time": units.time, "x": units.position, "y": units.position}
+    assert units_of(space) == {**positions, "vx": units.velocity, "vy": units.velocity}
+    assert units_of(space._replace(mechanical=False)) == {**positions, "px": momentum, "py": momentum}
 
 
 def test_an_output_is_a_start_at_its_last_time(tmp_path):

@@ -53,12 +53,16 @@ def test_a_training_in_which_no_validation_was_finite_has_diverged(tmp_path, ser
     best.on_train_end(Trainer(), None)
 
 
-def test_neither_point_is_written_outside_of_a_training(tmp_path):
-    for change in ({"sanity_checking": True}, {"state": SimpleNamespace(fn="validate")}):
-        trainer = Trainer(callback_metrics={"val/loss": torch.tensor(1.0)}, **change)
-        BestPoint(str(tmp_path), "val/loss").on_validation_end(trainer, None)
-        ResumePoint(str(tmp_path), 5).on_validation_end(trainer, None)
-        assert trainer.written == []
+@pytest.mark.parametrize(
+    ("change", "written"),
+    [({"sanity_checking": True}, ["best.ckpt"]), ({"state": SimpleNamespace(fn="validate")}, [])],
+    ids=["before the first step", "outside of a training"],
+)
+def test_weights_before_the_first_step_may_be_the_best_and_no_others_outside(tmp_path, change, written):
+    trainer = Trainer(callback_metrics={"val/loss": torch.tensor(1.0)}, **change)
+    BestPoint(str(tmp_path), "val/loss").on_validation_end(trainer, None)
+    ResumePoint(str(tmp_path), 5).on_validation_end(trainer, None)
+    assert [name for name, *_ in trainer.written] == written
 
 
 def test_a_value_that_nothing_logs_is_refused(tmp_path):
