@@ -60,7 +60,8 @@ class Band(NamedTuple):
     def verdict(self) -> str:
         """Return whether the bands are right, for the verdict; "" where too few directions tell."""
         told = self.test.verdict
-        return f"bands: {told} (errors are {self.test.scatter:.2g} of them)" if "few" not in told else ""
+        found = f"bands of the prediction are {told}: errors are {self.test.scatter:.2f} standard deviations"
+        return "" if "few" in told else found
 
     def numbers(self) -> dict[str, Any]:
         """Return plain values for metrics.json."""
