@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from ahnn.dynamics import fused_steps, native
 from ahnn.dynamics.base import Dynamics
 from ahnn.dynamics.forced import Forced
-from ahnn.dynamics.forces import AxialNetwork, Force, NetworkForce
+from ahnn.dynamics.forces import Force, NetworkForce
 from ahnn.dynamics.gradients import Layers
 from ahnn.dynamics.hamiltonians import GenericHamiltonian, Structure, make_hamiltonian
 from ahnn.dynamics.inputs import Cartesian, InputName
@@ -99,8 +99,6 @@ class NeuralODE(IntegratedField):
         super().__init__(NeuralField(dof, scaling, network), integrator)
 
 
-FREE = (NetworkForce, AxialNetwork)
-"""Learned forces that may be anything, zero too."""
 MOVES = ("mechanical", "central_body", "pairs")
 """Hamiltonians whose kinetic energy is known: without the learned part they are a motion."""
 CENTRED = ("isotropic", "radial", "central_body", "perturbed_body")
@@ -166,7 +164,7 @@ class HamiltonianDynamics(IntegratedField):
         """Set the learned potential and learned forces to zero, so that known physics is left."""
         parts = [self.field]
         if isinstance(self.field, Forced):  # friction L L^T would not grow from zero
-            parts = [self.field.hamiltonian, *(p for p in self.field.parts if isinstance(p, FREE))]
+            parts = [self.field.hamiltonian, *(p for p in self.field.parts if isinstance(p, NetworkForce))]
         for part in parts:
             silence(part)
 

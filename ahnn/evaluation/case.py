@@ -190,7 +190,7 @@ class EvaluationPlugin(Protocol):
 
 
 def perturbations(system: System, count: int, seed: int) -> Tensor:
-    """Draw initial errors N(0, P0), shape (count, D), with with P0 from the system's default noise."""
+    """Draw initial errors N(0, P0), shape (count, D), with P0 from the system's default noise."""
     generator = torch.Generator().manual_seed(seed)
     noise = torch.randn(count, 2 * system.dof, generator=generator, dtype=torch.float64)
     return noise * system.deviations()

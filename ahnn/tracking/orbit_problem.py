@@ -23,7 +23,7 @@ from ahnn.tracking.formats.sinex import read_sinex
 from ahnn.tracking.formats.tracking_files import read_tracking
 from ahnn.tracking.initial_orbit import initial_orbit
 from ahnn.tracking.orbit_fit import OrbitProblem
-from ahnn.tracking.orbit_forces import prepared_forces
+from ahnn.tracking.orbit_forces import PreparedForces, prepared_forces
 from ahnn.tracking.orbit_setup import KindChoice, OrbitSetup, StartChoice
 from ahnn.tracking.sun_and_moon import sun_and_moon
 from ahnn.tracking.tracking_data import KINDS, TrackingData
@@ -34,6 +34,7 @@ from ahnn.tracking.unknowns import START, SmoothBlock, Smoothness, Unknowns
 log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
+StationBiases = tuple[tuple[tuple[int, int], ...], list[float], list[float]]
 TURNING = np.array([kind not in ("range", "range_rate") for kind in KINDS])
 """Mask of angles among `KINDS`."""
 MARGIN = 60.0
@@ -46,7 +47,7 @@ class PreparedOrbit(NamedTuple):
     """Orbit determination problem with auxiliary data.
 
     Attributes:
-        problem: problem problem with all measurements.
+        problem: problem with all measurements.
         rotation: Earth rotation.
         learned: learned acceleration and index of its first unknown, or None.
     """
@@ -79,32 +80,10 @@ def prepared_orbit(setup: OrbitSetup, folder: Path, data: TrackingData | None = 
     model = TrackingModel(data, stations, setup.corrections, rotation, bodies)
     noise = noise_of(setup, data, entries)
     require_light(setup, data)
-    if given is None:
-        start, at = initial_orbit(model)
-        log.info("start: an initial orbit of directions, at %s", moment_of(data, at))
-    else:
-        turn = rotations(terrestrial(data.epoch, np.array([at]), "UTC"), given.frame, "GCRF")[0]
-        start = np.concatenate((turn @ np.array(given.position), turn @ np.array(given.velocity)))
+    start, at = start_of(given, at, model)
     ends = min(at, data.times[0]), max(at, data.times[-1])
     forces = prepared_forces(setup.forces, moment_of(data, at)[:10], rotation, bodies, *ends)
-    bias, bias_mean, bias_sd = biases_of(setup.biases, data, entries)
-    names = (
-        *START,
-        *forces.forces.parameters,
-        *(f"bias {data.stations[s]} {KINDS[k]}" for s, k in bias),
-    )
-    unknowns = Unknowns(
-        names,
-        np.concatenate((start, forces.mean, bias_mean)),
-        np.concatenate((np.full(6, np.inf), forces.deviations, bias_sd)),
-        len(forces.mean),
-        bias,
-        tuple(
-            SmoothBlock(6 + place, term.basis)
-            for term, place in ([forces.learned] if forces.learned else [])
-            if isinstance(term.basis, CubicSplines)
-        ),
-    )
+    unknowns = unknowns_of(start, forces, data, biases_of(setup.biases, data, entries))
     smooth = Smoothness(SMOOTH[0], SMOOTH[1] * (last - first)) if unknowns.smooth else None
     problem = OrbitProblem(
         forces.forces,
@@ -119,6 +98,32 @@ def prepared_orbit(setup: OrbitSetup, folder: Path, data: TrackingData | None = 
     )
     learned = None if forces.learned is None else (forces.learned[0], 6 + forces.learned[1])
     return PreparedOrbit(problem, rotation, learned)
+
+
+def start_of(given: StartChoice | None, at: float, model: TrackingModel) -> tuple[Array, float]:
+    """Return the initial state (6,) in GCRF, km and km/s, and its time: a given one, or an initial orbit."""
+    data = model.data
+    if given is None:
+        start, at = initial_orbit(model)
+        log.info("start: an initial orbit of directions, at %s", moment_of(data, at))
+        return start, at
+    turn = rotations(terrestrial(data.epoch, np.array([at]), "UTC"), given.frame, "GCRF")[0]
+    return np.concatenate((turn @ np.array(given.position), turn @ np.array(given.velocity))), at
+
+
+def unknowns_of(start: Array, forces: PreparedForces, data: TrackingData, biases: StationBiases) -> Unknowns:
+    """Return the unknowns: initial state (6,), parameters of forces, biases."""
+    bias, bias_mean, bias_sd = biases
+    names = (f"bias {data.stations[s]} {KINDS[k]}" for s, k in bias)
+    learned = [forces.learned] if forces.learned else []
+    return Unknowns(
+        (*START, *forces.forces.parameters, *names),
+        np.concatenate((start, forces.mean, bias_mean)),
+        np.concatenate((np.full(6, np.inf), forces.deviations, bias_sd)),
+        len(forces.mean),
+        bias,
+        tuple(SmoothBlock(6 + k, term.basis) for term, k in learned if isinstance(term.basis, CubicSplines)),
+    )
 
 
 def moment_of(data: TrackingData, time: float) -> str:
@@ -222,9 +227,7 @@ def require_light(setup: OrbitSetup, data: TrackingData) -> None:
         raise UserError(message)
 
 
-def biases_of(
-    choice: KindChoice, data: TrackingData, entries: dict[str, StationEntry]
-) -> tuple[tuple[tuple[int, int], ...], list[float], list[float]]:
+def biases_of(choice: KindChoice, data: TrackingData, entries: dict[str, StationEntry]) -> StationBiases:
     """Return which stations and kinds have biases, what these are known to be, and how well.
 
     A station's own numbers go before those of all; a bias that is known and has no deviation stays as it is.

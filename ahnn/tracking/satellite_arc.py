@@ -110,7 +110,7 @@ def satellite_arc(
 
     Args:
         forces: forces on the satellite.
-        start: initial initial state (6,) in GCRF, km and km/s.
+        start: initial state (6,) in GCRF, km and km/s.
         p: parameters of the forces, (P,).
         at: time of the initial state.
         first: begin of the arc, at or before the start.

@@ -185,7 +185,7 @@ def directions(line: Array, *, azimuth: bool) -> tuple[Array, Array]:
     """Return two angles of lines (T, 3) in east, north, up axes, and their derivatives (T, 2, 3).
 
     Args:
-        line: vector vector from the station to the satellite.
+        line: vector from the station to the satellite.
         azimuth: whether the angle runs from the second axis to the first, from 0 to 2 pi; else from the first
             to the second, as right ascension.
     """

@@ -133,7 +133,7 @@ class PosteriorPoint(NamedTuple):
 
     Attributes:
         theta: (P,) parameters.
-        loss, degrees, block: quantities quantities of the residuals, as in `Equations`.
+        loss, degrees, block: quantities of the residuals, as in `Equations`.
         prior: prior of maximum evidence at the beginning of function-space steps.
         factor: L, (P, P); L L^T is the inverse of the matrix of residuals and prior.
         determined: number of parameters that the data determine.

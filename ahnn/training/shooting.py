@@ -115,7 +115,7 @@ class ShootingProblem:
         steps: integrator steps between measurements.
         lost: number of segments that did not converge.
         count: degrees of freedom, without subtraction of parameters.
-        precision: dtype dtype of the products in the normal equations.
+        precision: dtype of the products in the normal equations.
 
     Raises:
         UserError: dynamics without a field.

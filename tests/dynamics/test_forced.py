@@ -206,7 +206,6 @@ def test_jacobians_of_steps_in_closed_form_are_those_of_reverse_mode(hamiltonian
         {"kind": "central_attraction", "mu": 1.7},
         {"kind": "oblateness", "mu": 1.7, "radius": 0.5, "j2": 0.1},
         {"kind": "network", "sees": ["q", "v", "t", "u"]},
-        {"kind": "axial", "falloff": 2},
     ],
     ids=lambda options: "-".join(map(str, options.values()))[:24],
 )

@@ -80,19 +80,6 @@ def test_bodies_and_dates_that_de421_does_not_have_are_refused(changes):
         make_force("planets", 3, 0, {**SKY, "bodies": ["venus"], **changes})
 
 
-def test_a_force_about_the_axis_turns_with_the_motion():
-    force = make_force("own", 3, 0, {"kind": "axial", "falloff": 2}).double()
-    q, v = (torch.randn(20, 3, generator=generator(k), **DOUBLE) for k in (1, 2))
-    c, s = np.cos(0.7), np.sin(0.7)
-    turn = torch.tensor([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], **DOUBLE)
-    nothing = torch.zeros(20, **DOUBLE)
-    found = force(instant(nothing, q, v)).detach()
-    assert float(found.norm()) > 0
-    close(force(instant(nothing, q @ turn.T, v @ turn.T)).detach(), found @ turn.T, 1e-12)
-    with pytest.raises(UserError, match="axial: expected three coordinates; received 2"):
-        make_force("own", 2, 0, {"kind": "axial", "falloff": 2})
-
-
 def model(hamiltonian, mu=None, forces=None):
     options = {"dof": 3, "inertia": 1.0, "inputs": "isotropic", "scaling": "none", "mu": mu, "forces": forces}
     options |= {"network": {"width": 6, "depth": 2, "activation": "tanh"}, "integrator": {"name": "rk4"}}
@@ -107,7 +94,6 @@ PULL = {"planet": {"kind": "central_attraction", "mu": 2.0}}
     [
         ("central_body", 2.0, None),
         ("mechanical", None, PULL),
-        ("mechanical", None, {**PULL, "rest": {"kind": "axial", "falloff": 1}}),
         ("mechanical", None, {**PULL, "rest": {"kind": "network", "sees": ["q", "v"]}}),
     ],
 )

@@ -11,7 +11,6 @@ from typing import Any
 from ahnn.arguments import check_arguments
 from ahnn.dynamics.forces.actuation import Actuation
 from ahnn.dynamics.forces.attraction import CentralAttraction, Oblateness
-from ahnn.dynamics.forces.axial import AxialNetwork
 from ahnn.dynamics.forces.base import Force, Instant
 from ahnn.dynamics.forces.forcing import Forcing
 from ahnn.dynamics.forces.friction import Friction
@@ -32,7 +31,6 @@ FORCES: Table[Callable[..., Force]] = Table(
         "central_attraction": CentralAttraction,
         "oblateness": Oblateness,
         "third_bodies": ThirdBodies,
-        "axial": AxialNetwork,
     },
 )
 """Registered forces by name; called with `dof`, `controls` and options."""
@@ -69,7 +67,6 @@ def make_force(name: str, dof: int, controls: int, options: Mapping[str, Any]) -
 __all__ = [
     "FORCES",
     "Actuation",
-    "AxialNetwork",
     "CentralAttraction",
     "Force",
     "Forcing",

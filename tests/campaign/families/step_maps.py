@@ -48,7 +48,7 @@ ODD = {
 """Options of models, and values that some of them may take."""
 FORCES = {
     "friction": {}, "friction_matrix": {"kind": "friction", "of": "matrix"}, "controls": {"kind": "actuation"}, "forcing": {"frequency": 2.0},
-    "network": {"sees": ["q", "v"]}, "spring": {"stiffness": 2.0}, "central_attraction": {"mu": 2.0}, "oblateness": {"mu": 2.0, "radius": 1.0, "j2": 0.01}, "axial": {"falloff": 2},
+    "network": {"sees": ["q", "v"]}, "spring": {"stiffness": 2.0}, "central_attraction": {"mu": 2.0}, "oblateness": {"mu": 2.0, "radius": 1.0, "j2": 0.01},
 }  # fmt: skip
 NUMBERS = [0, 0.0, -1.0, 1.0, NAN, INF, -INF, 1e300, 10**400, "x", "1", None, True, [], [1.0], [1.0, 2.0], [1.0, NAN], [-1.0, 1.0], [[1.0, 0.0], [0.0, 2.0]],
            [[1.0, 2.0], [0.0, 1.0]], [[1.0, 2.0]], [[NAN, 0.0], [0.0, 1.0]], [[1.0, 0.0, 0.0]] * 3, {}, {"a": 1}]  # fmt: skip
