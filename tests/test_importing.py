@@ -35,6 +35,8 @@ import_torchmetrics()
 import torchmetrics
 assert "scipy.signal" not in sys.modules
 assert float(torchmetrics.MeanMetric()(2.0)) == 2.0
+import ahnn.jobs.closing, ahnn.jobs.fitting
+assert not {"scipy.linalg", "scipy.optimize"} & sys.modules.keys()  # of no use to most trainings
 import scipy.signal
 assert scipy.signal.hilbert([1.0, 0.0, -1.0, 0.0]).imag.round(9).tolist() == [0.0, 1.0, 0.0, -1.0]
 import_torchmetrics()

@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.optimize import minimize
 from torch import Tensor
 
 from ahnn.measurements.coloured_noise import Colour, Whitening
@@ -101,6 +100,8 @@ def most_likely(left: Residuals, *, sizes: bool, correlation: bool) -> FoundNois
     def searched(
         begin: list[float], limits: list[tuple[float, float]], coloured: bool
     ) -> tuple[float, Tensor]:
+        from scipy.optimize import minimize  # a fifth of a second, which other trainings do not need
+
         def value(found: np.ndarray) -> tuple[float, np.ndarray]:
             at = torch.tensor(found, requires_grad=True)
             with torch.enable_grad():
