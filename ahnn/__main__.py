@@ -11,6 +11,7 @@ COMMANDS = f"""ahnn {__version__}: learn Hamiltonian dynamics, and assimilate me
   python -m ahnn.train       train a model and evaluate it              --help
   python -m ahnn.evaluate    evaluate a finished run again              --help
   python -m ahnn.predict     states to come, with their bands           --help
+  python -m ahnn.plan        the measurements that sharpen a forecast   --help
   python -m ahnn.export      a trained model for other programs         --help
   python -m ahnn.reproduce   the tables of the paper                    --help
   python -m ahnn.benchmark   tasks of the field, published scores beside  --help

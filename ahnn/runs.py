@@ -26,7 +26,8 @@ from ahnn.prediction.arguments import (
     starts_of,
     states_of,
 )
-from ahnn.prediction.propagation import Knowledge, Prediction, predicted, require_times
+from ahnn.prediction.followed_path import Knowledge
+from ahnn.prediction.propagation import Prediction, predicted, prediction_factors, require_times
 from ahnn.rollouts import rollout
 from ahnn.types import Space
 from ahnn.uncertainty import Domain, Uncertainty, learned_constants, rollout_covariances
@@ -192,17 +193,45 @@ class Run:
             UserError: invalid starts, times or controls, or a damaged covariance file.
         """
         x = starts_of(start, self.dynamics, self.space)
-        spread = None if self.uncertainty is None else self.uncertainty.spread
-        known = Knowledge(spread, self.domain)
         if start_sd is not None:
             start_covariance = state_deviations(start_sd, self.space, "start_sd").square().diag()
-        if start_covariance is not None:
-            factor = covariance_factor(start_covariance, x.shape[-1], "start_covariance")
-            known = known._replace(start=factor)
+        known = self.knowledge(start_covariance)
         times = as_float64(times, "times")
         require_times(times)
         clock = clock_of_samples(self.dynamics, times, controls, len(x), linear=linear)
         return predicted(self._exact, x.double(), times, self.dt, known, description, clock)
+
+    def knowledge(self, start_covariance: Numbers | None = None) -> Knowledge:
+        """Return the uncertainty of the parameters, and of starts with a covariance (2n, 2n) or (B, 2n, 2n).
+
+        Raises:
+            UserError: an invalid covariance, or a damaged file of that of the parameters.
+        """
+        spread = None if self.uncertainty is None else self.uncertainty.spread
+        if start_covariance is None:
+            return Knowledge(spread, self.domain)
+        size = 2 * self.space.dof
+        return Knowledge(spread, self.domain, covariance_factor(start_covariance, size, "start_covariance"))
+
+    def prediction_factors(
+        self, start: Numbers, times: Numbers, start_covariance: Numbers
+    ) -> tuple[Tensor, Tensor]:
+        """Return predicted states (T, 2n) and factors (T, 2n, R) of their covariances F F^T.
+
+        The columns are the effects of independent causes of unit variance: first the parameters, where their
+        uncertainty is known, then the start.
+
+        Args:
+            start: (2n,) state at the first of the times.
+            times: (T,) increasing.
+            start_covariance: (2n, 2n).
+
+        Raises:
+            UserError: as `predict`.
+        """
+        x = starts_of(start, self.dynamics, self.space)[0].double()
+        times = as_float64(times, "times")
+        return prediction_factors(self._exact, x, times, self.dt, self.knowledge(start_covariance))
 
     @property
     def constants(self) -> dict[str, tuple[float, float]]:
