@@ -228,7 +228,7 @@ def test_a_prediction_is_not_written_over_its_start(tmp_path, capsys):
     before = contents(tmp_path)
     words = ("pretrained=molniya_central_body", f"start={path}", "duration=10min")
     assert call("ahnn.predict", *words, f"output={path}") == 2
-    assert "expected another file than the start" in capsys.readouterr().err
+    assert "expected a file other than the start" in capsys.readouterr().err
     assert contents(tmp_path) == before
 
 

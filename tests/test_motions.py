@@ -215,7 +215,7 @@ def test_known_controls_are_held_or_interpolated_between_samples():
         with pytest.raises(UserError, match=expected):
             steered(flow, times, given)
     three = steered(flow, times, [[[1.0], [3.0], [5.0]]] * 3)
-    with pytest.raises(UserError, match="expected states of 3 members, as controls have; received 1"):
+    with pytest.raises(UserError, match="expected states of 3 members, as in the controls; received 1"):
         at(three, 0.05)(x, 0.05)
     with pytest.raises(UserError, match="steered: expected a flow with controls"):
         steered(exact_flow(ForcedOscillator(name="f", dt=0.05, steps=2)), times, [[1.0], [3.0], [5.0]])

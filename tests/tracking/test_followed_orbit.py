@@ -129,7 +129,7 @@ def test_a_given_start_is_followed_and_a_stopped_stream_goes_on(folder, tmp_path
     assert 0.4 < float(nis) < 1.4  # ranges are twice as good as is said
     before = (tmp_path / "track.csv").read_bytes()
     assert follow(folder, tmp_path, *words) == 0
-    assert "going on behind line 49" in caplog.text
+    assert "resuming after line 49" in caplog.text
     assert (tmp_path / "track.csv").read_bytes() == before
 
 
@@ -173,7 +173,7 @@ def test_the_flow_is_the_path_and_its_transition_the_sensitivities():
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["start=fit"], "fitted: expected how many measurements are fitted"),
+        (["start=fit"], "fitted: expected the number or fraction of measurements"),
         (["start=fit", "fitted=30", "epoch=2024-01-01"], "epoch: expected none beside orbit="),
         (["start=fit", "fitted=30", "run=a"], "run: expected a key that goes with orbit="),
         (["start=fit", "fitted=30", "plugins=none"], "plugins: expected one that filters online"),
