@@ -20,8 +20,8 @@ FAR = 6.0
 """Standard deviations of a difference beyond which its central sample is excluded."""
 SHARE = 1e-4
 """Noise relative to increments above which objectives that compare windows learn the noise."""
-LOOKED_AT = 2**18
-"""Number of samples for medians accurate to half a per cent."""
+LOOKED_AT = 2**16
+"""Number of samples for medians accurate to one per cent."""
 SMALL, MEANS = 0.02, 0.25
 """Noise relative to a component's total motion that needs no test, and tolerance of the means."""
 TWICE = 2.0
