@@ -197,10 +197,10 @@ def test_stations_say_where_the_earth_stood(capsys):
 
 
 NOTHING = {
-    "late": (["time=1000"], "10 of 10 late. They are before the start: set epoch="),
-    "ahead": (["gap=1"], "10 of 10 ahead. They are far behind the start: set epoch="),
-    "bad": ([], "10 of 10 bad. The lines above say"),
-    "predicted": ([], "10 of 10 predicted. Their numbers are missing"),
+    "late": (["time=1000"], "10 of 10 late. They precede the start: set its time="),
+    "ahead": (["gap=1"], "10 of 10 ahead. They are too long after the start: set its"),
+    "bad": ([], "10 of 10 bad. The lines above state"),
+    "predicted": ([], "10 of 10 predicted. Their values are missing"),
     "rejected": (["plugins.ukf.gate=0.99", "plugins.ukf.patience=20"], "10 of 10 rejected. Set start="),
     "header": ([], "received no line after the header"),
 }

@@ -171,7 +171,7 @@ HUBER = ("loss.robust=huber", "recipe=measurements", "hamiltonian=mechanical")
         (["data.noise=0.01", "data.measured=state", "recipe=measurements"], "received positions alone"),
         (
             ["data.noise=0.01", "data.every=3", "recipe=measurements"],
-            "nothing is drawn; received data.every=3",
+            "nothing is added; received data.every=3",
         ),
         (["data.noise=0.01", "sensor=tracking"], "received data.every=5"),
         (

@@ -63,7 +63,7 @@ def test_a_bias_of_each_trajectory_is_not_one_of_all():
 @pytest.mark.parametrize("memory", [0.4, 0.8])
 def test_colour_is_said_with_what_it_does_to_bands(memory):
     said = remedy(Spring(SYSTEM), batch(coloured(memory)), "none")
-    assert said.startswith("the noise is coloured: neighbours correlate by q1 +")
+    assert said.startswith("the noise is coloured: successive values correlate by q1 +")
     assert float(said.split("q1 +")[1].split()[0]) == pytest.approx(memory, abs=0.12)
     widening = ((1 + memory) / (1 - memory)) ** 0.5
     assert float(said.split("are up to ")[1].split()[0]) == pytest.approx(widening, rel=0.25)

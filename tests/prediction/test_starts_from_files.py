@@ -99,7 +99,7 @@ def test_the_covariance_of_the_first_state_goes_along_and_start_sd_takes_its_pla
     )
     assert call("ahnn.predict", MOLNIYA, "start=a.yaml", *SHORT, "output=b.csv", "start_sd=[5,0.1]") == 0
     assert deviations(first("b.csv"))[0] == pytest.approx(5)
-    assert "start_sd: in place of the covariance of a.yaml" in caplog.text
+    assert "start_sd: replaces the covariance of a.yaml" in caplog.text
     assert first("b.csv")["epoch"] == "2024-03-01T12:00:00.000"
 
 

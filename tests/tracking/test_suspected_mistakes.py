@@ -51,7 +51,7 @@ def test_angles_in_another_unit_are_named(right, factor, said):
 def test_interchanged_stations_are_named(right):
     others = STATIONS[1], STATIONS[0], STATIONS[2]
     mistaken = replace(right, model=right.model.of(others, right.model.data))
-    assert "south and east fit where the other stands" in named(mistaken, fitted=False)
+    assert "south and east fit at each other's position" in named(mistaken, fitted=False)
 
 
 def test_a_station_that_stands_elsewhere_is_named(right):

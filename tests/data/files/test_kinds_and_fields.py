@@ -42,7 +42,7 @@ def test_a_table_is_one_whatever_the_ends_of_its_lines(tmp_path):
 
 FOREIGN = {
     "CCSDS_OPM_VERS = 2.0\n": "orbit parameter message (OPM)",
-    "CCSDS_OMM_VERS = 2.0\n": "that SGP4 propagates from the mean elements (OMM)",
+    "CCSDS_OMM_VERS = 2.0\n": "which SGP4 propagates from the mean elements (OMM)",
     "CCSDS_TDM_VERS = 1.0\n": "tracking data message (TDM)",
     "CCSDS_OCM_VERS = 3.0\n": "orbit comprehensive message (OCM)",
     "CCSDS_CDM_VERS = 1.0\n": "conjunction data message (CDM)",
@@ -117,7 +117,7 @@ def test_what_is_not_used_is_said_once_and_logged(tmp_path, message, caplog):
         ("warning", notes[0].what),
         ("note", "not used: X_DDOT, Y_DDOT, Z_DDOT, COMMENT, INTERPOLATION, INTERPOLATION_DEGREE"),
     ]
-    assert "USABLE_START_TIME is no keyword of an OEM" in notes[0].what
+    assert "USABLE_START_TIME is not a keyword of an OEM" in notes[0].what
     assert "did you mean 'USEABLE_START_TIME'?" in notes[0].what
     with caplog.at_level(logging.INFO):
         Files("orbit", str(path))

@@ -171,7 +171,7 @@ def test_the_structure_of_a_message_is_held():
             "expected version 1.0 or 2.0 of a TDM; received '9.0'",
         ),
         ("DATA_STOP\n", "", "expected DATA_STOP at the end of a segment"),
-        ("DATA_START\n", "", "expected DATA_START behind META_STOP"),
+        ("DATA_START\n", "", "expected DATA_START after META_STOP"),
         ("META_STOP\n", "", "row 20: expected KEYWORD = value; received 'DATA_START'"),
         ("ORIGINATOR", "AUTHOR", "expected CREATION_DATE, ORIGINATOR, MESSAGE_ID or META_START"),
     ):
