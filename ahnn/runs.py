@@ -159,7 +159,7 @@ class Run:
         """
         if self.domain is None:
             message = (
-                "novelty: expected weights that say where their training data were; received those of an "
+                "novelty: expected weights that describe their training data; received those of an "
                 "earlier version. Train again"
             )
             raise UserError(message)

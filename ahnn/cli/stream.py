@@ -67,7 +67,7 @@ def read_stream(arguments: list[str], usage: str) -> Stream:
 
 
 def require_own_keys(options: AssimilationRequest, nodes: DictConfig) -> None:
-    """Refuse keys of an orbit determination beside a run, and sensors said twice; raises UserError."""
+    """Raise UserError for keys of an orbit determination with a run, and for sensors defined twice."""
     given = {"folder": options.folder, "fitted": options.fitted}
     given["start"] = options.start if options.start == "fit" else None
     for key, value in given.items():
@@ -75,7 +75,7 @@ def require_own_keys(options: AssimilationRequest, nodes: DictConfig) -> None:
             message = f"{key}: expected orbit=FILE.yaml beside {key}={value}; received a run"
             raise UserError(message)
     if options.stations is not None and nodes:
-        message = f"stations: expected no sensors beside it; received {', '.join(map(str, nodes))}"
+        message = f"stations: expected no other sensors; received {', '.join(map(str, nodes))}"
         raise UserError(message)
 
 
@@ -144,7 +144,7 @@ def build_sensors(
 
 
 def stations_of_file(file: str, space: Space, clock: StreamClock) -> dict[str, StreamSensor]:
-    """Return the stations of a file as sensors, on an Earth that turns from the epoch of time zero on.
+    """Return the stations of a file as sensors on the rotating Earth, from the epoch of time zero on.
 
     Raises:
         UserError: no such file, or a station that measures nothing.
@@ -213,8 +213,8 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
     def carry(states: Tensor, times: Tensor, covariances: Tensor) -> Tensor:
         if names := control_names(run):
             message = (
-                "start: expected the covariance of its last state, as nobody knows the controls before it, "
-                f"{', '.join(names)}; received that of an earlier one. Add start_sd="
+                "start: expected the covariance of its last state, since the controls before it are "
+                f"unknown, {', '.join(names)}; received that of an earlier one. Add start_sd="
             )
             raise UserError(message)
         predicted = run.predict(states, times, start_covariance=covariances).covariances

@@ -81,7 +81,7 @@ def predict(asked: PredictionRequest) -> None:
         output.draw(Path(asked.figure), found, space, title)
     show(summary(found, begin, space, title))
     if known is not None and not runs[0].uncertainty:
-        what = "the start" if len(runs) == 1 else "the start and of what the runs differ by"
-        log.warning("1 sigma: that of %s; how well the dynamics are known these weights do not say", what)
+        what = "the start" if len(runs) == 1 else "the start and the differences between the runs"
+        log.warning("1 sigma: from %s only; these weights carry no uncertainty of the dynamics", what)
     if remark := warning(found, begin, space):
         log.warning(remark)

@@ -1,4 +1,4 @@
-"""Any number of ground stations in one YAML file: where they stand, what they see, their noise and biases.
+"""Any number of ground stations in one YAML file: their coordinates, measured kinds, noise and biases.
 
 kiruna:
 latitude: 67.86            # degrees, geodetic
@@ -45,7 +45,7 @@ class StationEntry:
         min_elevation: degrees below which it sees nothing.
         noise: standard deviations by kind, km, degrees and km/s.
         bias: known biases, likewise.
-        bias_sd: to what they are known, likewise.
+        bias_sd: standard deviations of the biases, likewise.
     """
 
     latitude: Degrees
@@ -63,7 +63,7 @@ class StationEntry:
 
 
 def read_stations(path: str | Path) -> dict[str, StationEntry]:
-    """Return the stations of a file; raises UserError for what is none, with its place."""
+    """Return the stations of a file; raises UserError for an invalid entry, with its place."""
     return {name: entry_of(value, f"{path}: {name}") for name, value in read_plain(Path(path)).items()}
 
 
@@ -89,7 +89,7 @@ def entry_of(value: Any, who: str) -> StationEntry:
 
 
 class BiasedStation(Differing):
-    """A station of a file with its known biases: what it has a noise of is measured.
+    """A station of a file with its known biases; it measures the kinds that have a noise.
 
     Args:
         entry: of the file.
@@ -134,7 +134,7 @@ class StationsOfFile(Several):
     """The stations of a file, side by side.
 
     Args:
-        file: of the stations, see `ahnn.measurements.station_file`.
+        file: path of the stations, see `ahnn.measurements.station_file`.
         earth_angle: of the Greenwich meridian from the inertial x axis at t = 0, rad; None is 0.
         mass: of the satellite in kg.
 
@@ -142,7 +142,7 @@ class StationsOfFile(Several):
         deviations: standard deviations of all their numbers.
 
     Raises:
-        UserError: no station, or what is none.
+        UserError: no station, or an invalid one.
     """
 
     def __init__(self, file: str, earth_angle: float | None = None, mass: float = 1.0) -> None:

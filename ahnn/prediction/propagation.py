@@ -173,7 +173,8 @@ def require_times(times: Tensor) -> None:
     if times.ndim != 1 or len(times) < 2 or not bool((times.diff() > 0).all() & times.isfinite().all()):
         received = times.tolist() if times.numel() < 7 else f"shape {tuple(times.shape)}"
         message = (
-            f"times: expected two or more that increase, the first that of the start; received {received}"
+            "times: expected two or more that increase, beginning with that of the start; received "
+            f"{received}"
         )
         raise UserError(message)
 
@@ -188,6 +189,6 @@ def require_finite_prediction(prediction: Prediction, unit: str) -> None:
         row, time = int(wrong[:, lost].nonzero()[0]), float(prediction.times[lost])
         message = (
             f"prediction: expected finite states; received NaN or infinity {time:g} {unit} after start "
-            f"{row + 1}. Nothing is written: shorten duration, or look at start and model"
+            f"{row + 1}. Nothing was written: shorten duration, or check start and model"
         )
         raise TrainingError(message)

@@ -85,8 +85,8 @@ def gauss(sites: Array, directions: Array, times: Array) -> list[Array]:
 def initial_orbit(model: TrackingModel) -> tuple[Array, float]:
     """Return a state (6,) in GCRF and its time, to begin a fit of measurements with.
 
-    Of ranges beside directions by Gibbs or Herrick and Gibbs, of directions alone by Gauss; of the triples of
-    a station that which spans most of an arc of 60 degrees.
+    By Gibbs or Herrick and Gibbs for ranges with directions, by Gauss for directions only; the chosen
+    triple of a station spans most of an arc of 60 degrees.
 
     Raises:
         UserError: no station has seen enough directions.
