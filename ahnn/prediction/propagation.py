@@ -27,6 +27,7 @@ from ahnn.progress import track
 from ahnn.rollouts import stepped
 from ahnn.shooting.path_sensitivities import Steps, in_quarters, path, sensitivities, steps_between
 from ahnn.shooting.quadrature import coarse
+from ahnn.types import in_short
 from ahnn.uncertainty import Domain, growth
 
 CELLS = 4e6
@@ -50,6 +51,9 @@ class Prediction(NamedTuple):
     states: Tensor
     covariances: Tensor | None = None
     novelty: Tensor | None = None
+
+    def __repr__(self) -> str:
+        return in_short(self)
 
     @property
     def deviations(self) -> Tensor | None:
