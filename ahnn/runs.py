@@ -70,11 +70,10 @@ class Run:
     uncertainty: Uncertainty | None = None
 
     def __repr__(self) -> str:
-        count, unit = sum(p.numel() for p in self.dynamics.parameters()), self.space.units.time
-        return (
-            f"Run({self.space.name}: {self.dynamics.assumes}; {count} parameters, dt={self.dt:g} {unit}, "
-            f"folder={str(self.folder)!r})"
-        )
+        count = sum(p.numel() for p in self.dynamics.parameters())
+        step = f"dt={self.dt:g} {self.space.units.time}".removesuffix(" 1")
+        what = f"{self.space.name}: {self.dynamics.assumes}; {count} parameters, {step}"
+        return f"Run({what}, folder={str(self.folder)!r})"
 
     def _repr_html_(self) -> str:
         scored = (self.folder / "metrics.json").is_file()
