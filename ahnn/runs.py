@@ -5,7 +5,9 @@ states = ahnn.load("molniya_mechanical").rollout(start, steps=1440)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import copy
+import html
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -27,19 +29,27 @@ from ahnn.prediction.arguments import (
     states_of,
 )
 from ahnn.prediction.followed_path import Knowledge
-from ahnn.prediction.propagation import Prediction, predicted, prediction_factors, require_times
+from ahnn.prediction.propagation import Prediction, predicted, require_times
 from ahnn.rollouts import rollout
 from ahnn.types import Space
 from ahnn.uncertainty import Domain, Uncertainty, learned_constants, rollout_covariances
 from ahnn.uncertainty.posterior import FILE
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from ahnn.evaluation.results import Results
 
 
-@dataclass(frozen=True)
+PLOTTED = 300
+"""Number of sampling intervals of a plot without times."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Run:
     """Learned dynamics with the description of their state space.
+
+    Runs are copied and pickled as any object. Notebooks show the table of scores.
 
     Attributes:
         dynamics: the flow, a float64 module without gradients: `run.dynamics(x, dt)`.
@@ -59,6 +69,30 @@ class Run:
     folder: Path
     domain: Domain | None = None
     uncertainty: Uncertainty | None = None
+
+    def __repr__(self) -> str:
+        count = sum(p.numel() for p in self.dynamics.parameters())
+        step = f"dt={self.dt:g} {self.space.units.time}".removesuffix(" 1")
+        what = f"{self.space.name}: {self.dynamics.assumes}; {count} parameters, {step}"
+        return f"Run({what}, folder={str(self.folder)!r})"
+
+    def _repr_html_(self) -> str:
+        scored = (self.folder / "metrics.json").is_file()
+        scores = self.results._repr_html_() if scored else "<p>no scores</p>"  # pyright: ignore[reportPrivateUsage]
+        return f"<p><code>{html.escape(repr(self))}</code></p>{scores}"
+
+    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Run:
+        """Return the run on a device and with parameters of a type; this one stays as it is.
+
+        `flow`, `energy` and `rollout` compute in this type; `predict`, `band` and `novelty` always in
+        float64, which the device must support.
+        """
+        return replace(
+            self,
+            dynamics=copy.deepcopy(self.dynamics).to(device=device, dtype=dtype),
+            domain=self.domain and self.domain._replace(states=self.domain.states.to(device)),
+            uncertainty=self.uncertainty and self.uncertainty.to(device),
+        )
 
     @property
     def trained(self) -> Dynamics:
@@ -88,9 +122,7 @@ class Run:
             UserError: the model has no Hamiltonian.
         """
         if not isinstance(self.dynamics, HasEnergy):
-            message = (
-                f"energy: expected a model with a Hamiltonian; received one with {self.dynamics.assumes}"
-            )
+            message = f"energy: expected a Hamiltonian; received a model with {self.dynamics.assumes}"
             raise UserError(message)
         return cast(HasEnergy, self.dynamics).energy(states_of(x, "x", self.dynamics, self.space))
 
@@ -119,8 +151,7 @@ class Run:
         """
         dt = self.dt if dt is None else dt
         x, steps, lengths = paths_of(start, steps, dt, self.dynamics, self.space)
-        given = (x, *self.dynamics.parameters(), *([lengths] if isinstance(lengths, Tensor) else []))
-        gradients = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in given)
+        gradients = self._asked(x, lengths)
         clock = clock_along(self.dynamics, lengths, steps, start_time, controls, len(x))
         return rollout(self.dynamics, x, lengths, steps + 1, gradients=gradients, clock=clock)
 
@@ -150,9 +181,7 @@ class Run:
     def novelty(self, x: Numbers) -> Tensor:
         """Return the distance of states x, shape (..., 2n), from the training states, shape (...).
 
-        The distance is measured in the networks' input space and scaled so that one training state in a
-        hundred is
-        farther than 1 from the representative states.
+        Distances are of network inputs, scaled so that one training state in a hundred is beyond 1.
 
         Raises:
             UserError: the weights contain no representative training states.
@@ -178,6 +207,9 @@ class Run:
     ) -> Prediction:
         """Return predicted states at given times, with covariance and novelty where available.
 
+        Gradients of the states flow to the start and the parameters that require them; covariance and
+        novelty have none.
+
         Args:
             start: (B, 2n) or (2n,) states at the first of the times, in the units of the space.
             times: (T,) increasing, in its unit of time; internal steps are at most the training step.
@@ -196,10 +228,38 @@ class Run:
         if start_sd is not None:
             start_covariance = state_deviations(start_sd, self.space, "start_sd").square().diag()
         known = self.knowledge(start_covariance)
-        times = as_float64(times, "times")
+        times = as_float64(times, "times", x.device).detach()
         require_times(times)
         clock = clock_of_samples(self.dynamics, times, controls, len(x), linear=linear)
-        return predicted(self._exact, x.double(), times, self.dt, known, description, clock)
+        found = predicted(self._exact, x.double(), times, self.dt, known, description, clock)
+        if not self._asked(x):
+            return found
+        steps = times.diff().expand(len(x), -1)
+        path = rollout(self.dynamics, x, steps, len(times), longest=self.dt, gradients=True, clock=clock)
+        return found._replace(states=path.double())
+
+    def plot(self, start: Numbers | None = None, times: Numbers | None = None, **options: Any) -> Figure:
+        """Plot one predicted trajectory, with its band and novelty where known, as a matplotlib figure.
+
+        Args:
+            start: (2n,) state at the first of the times; by default a training state.
+            times: (T,) increasing; by default `PLOTTED` sampling intervals.
+            options: further arguments of `predict`.
+
+        Raises:
+            UserError: as for `predict`, several starts, or no start where training states are unknown.
+        """
+        from ahnn.prediction.figure import prediction_figure
+
+        if start is None and self.domain is not None:
+            start = self.domain.states[0]
+        if start is None or len(starts_of(start, self.dynamics, self.space)) != 1:
+            message = "start: expected one state of the space; received none or several"
+            raise UserError(message)
+        times = self.dt * torch.arange(PLOTTED + 1) if times is None else times
+        with torch.no_grad():
+            found = self.predict(start, times, **options)
+        return prediction_figure(found, self.space, f"{self.space.name}: {self.dynamics.assumes}")
 
     def knowledge(self, start_covariance: Numbers | None = None) -> Knowledge:
         """Return the uncertainty of the parameters, and of starts with a covariance (2n, 2n) or (B, 2n, 2n).
@@ -207,31 +267,11 @@ class Run:
         Raises:
             UserError: an invalid covariance, or a damaged file of that of the parameters.
         """
-        spread = None if self.uncertainty is None else self.uncertainty.spread
+        known = Knowledge(None if self.uncertainty is None else self.uncertainty.spread, self.domain)
         if start_covariance is None:
-            return Knowledge(spread, self.domain)
-        size = 2 * self.space.dof
-        return Knowledge(spread, self.domain, covariance_factor(start_covariance, size, "start_covariance"))
-
-    def prediction_factors(
-        self, start: Numbers, times: Numbers, start_covariance: Numbers
-    ) -> tuple[Tensor, Tensor]:
-        """Return predicted states (T, 2n) and factors (T, 2n, R) of their covariances F F^T.
-
-        The columns are the effects of independent causes of unit variance: first the parameters, where their
-        uncertainty is known, then the start.
-
-        Args:
-            start: (2n,) state at the first of the times.
-            times: (T,) increasing.
-            start_covariance: (2n, 2n).
-
-        Raises:
-            UserError: as `predict`.
-        """
-        x = starts_of(start, self.dynamics, self.space)[0].double()
-        times = as_float64(times, "times")
-        return prediction_factors(self._exact, x, times, self.dt, self.knowledge(start_covariance))
+            return known
+        factor = covariance_factor(start_covariance, 2 * self.space.dof, "start_covariance")
+        return known._replace(start=factor)
 
     @property
     def constants(self) -> dict[str, tuple[float, float]]:
@@ -239,8 +279,7 @@ class Run:
 
         The deviation is NaN where the parameter covariance is unknown.
         """
-        spread = None if self.uncertainty is None else self.uncertainty.spread
-        found = learned_constants(self._exact, spread)
+        found = learned_constants(self._exact, self.knowledge().spread)
         return {one.name: (one.value, one.deviation) for one in found}
 
     @cached_property
@@ -254,6 +293,12 @@ class Run:
         from ahnn.evaluation.results import load_results
 
         return load_results(self.folder)
+
+    def _asked(self, *given: Tensor | float) -> bool:
+        """Return whether a start, a step or a parameter requires gradients."""
+        tensors = (*given, *self.dynamics.parameters())
+        asked = any(isinstance(one, Tensor) and one.requires_grad for one in tensors)
+        return torch.is_grad_enabled() and asked
 
     @property
     def _exact(self) -> Dynamics:

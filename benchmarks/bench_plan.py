@@ -22,6 +22,7 @@ import ahnn
 from ahnn.data.starts import Starts
 from ahnn.jobs.planning import candidates, stations_of
 from ahnn.prediction.measurement_plan import evenly_spaced, plan_measurements, variance_with
+from ahnn.prediction.propagation import prediction_factors
 
 WHOLE = {"range": 0.01, "azimuth": 0.006, "elevation": 0.006}
 STATIONS = {
@@ -54,7 +55,8 @@ def drawn(run: ahnn.Run, stations: str, seed: int, count: int) -> tuple[float, f
     start = start_of(run, seed)
     grid = torch.arange(0.0, 2 * DAY + 1, EVERY, dtype=torch.float64)
     times = torch.cat((grid, torch.tensor([5 * DAY], dtype=torch.float64)))
-    states, factors = run.prediction_factors(start, times, torch.tensor(SD).double().square().diag())
+    known = run.knowledge(torch.tensor(SD).double().square().diag())
+    states, factors = prediction_factors(run.dynamics, start, times, run.dt, known)
     begin = Starts(("0",), start.unsqueeze(0), torch.zeros(1, dtype=torch.float64))
     sensors = stations_of(stations, begin, run)
     rows = [one.rows for one in candidates(sensors, states[:-1], factors[:-1], grid, SESSION)]

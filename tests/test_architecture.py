@@ -85,6 +85,8 @@ MAY_IMPORT = {
     "pretrained": OPEN | {"checkpoints"},
     "runs": GROUND | {"dynamics", "evaluation", "prediction", "uncertainty"},
     "loading": GROUND | {"dynamics", "pretrained", "runs", "uncertainty"},
+    "saving": GROUND | {"data", "dynamics", "loading", "runs", "uncertainty"},
+    "untrained": GROUND | {"data", "dynamics"},
     "jobs": GROUND
     | {"assimilation", "data", "dynamics", "evaluation", "graphs", "models", "prediction", "pretrained"}
     | {"estimation", "loading", "runs", "shooting", "tracking", "training", "uncertainty"},

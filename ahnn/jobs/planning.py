@@ -27,6 +27,7 @@ from ahnn.measurements import Position, noise_deviations, observe
 from ahnn.measurements.station_file import BiasedStation, read_stations
 from ahnn.prediction import durations
 from ahnn.prediction.measurement_plan import evenly_spaced, plan_measurements, variance_with
+from ahnn.prediction.propagation import prediction_factors
 from ahnn.runs import Run
 
 log = logging.getLogger("ahnn")
@@ -104,7 +105,9 @@ def plan(asked: PlanRequest) -> None:
     session = math.inf if asked.session is None else durations.duration(asked.session, "session", clock)
     times = durations.grid(lasting, every)
     whole = torch.cat((times, torch.tensor([at]).to(times))).unique()
-    states, factors = run.prediction_factors(begin.states[0], whole, begin.covariances[0])
+    states, factors = prediction_factors(
+        run.dynamics.frozen(), begin.states[0], whole, run.dt, run.knowledge(begin.covariances[0])
+    )
     seen = states[: len(times)], factors[: len(times)], times + begin.times[0]
     instruments = stations_of(asked.stations, begin, run) if asked.stations else fixes(asked.position_sd, run)
     found = candidates(instruments, *seen, max(1, int(min(session / every, len(times)))))

@@ -23,6 +23,7 @@ from ahnn.prediction.followed_path import FollowedPath, Knowledge, PathRows
 from ahnn.progress import track
 from ahnn.shooting.path_sensitivities import Steps, path, steps_between
 from ahnn.shooting.quadrature import coarse
+from ahnn.types import in_short
 
 CELLS = 4e6
 """Size limit of the largest sensitivity tensor; longer paths are propagated in segments."""
@@ -45,6 +46,9 @@ class Prediction(NamedTuple):
     states: Tensor
     covariances: Tensor | None = None
     novelty: Tensor | None = None
+
+    def __repr__(self) -> str:
+        return in_short(self)
 
     @property
     def deviations(self) -> Tensor | None:

@@ -14,6 +14,7 @@ from helpers import close
 from test_predict import small
 
 from ahnn.prediction.measurement_plan import evenly_spaced, plan_measurements, variance_with
+from ahnn.prediction.propagation import prediction_factors
 
 MOLNIYA = ("pretrained=molniya_mechanical", "start=[0,-3145,-6173,10,0,0]", "start_sd=[1,0.001]")
 ASKED = (*MOLNIYA, "duration=1d", "every=2h", "at=2d")
@@ -29,6 +30,11 @@ def drawn(seed, candidates=7, unknowns=4):
         torch.randn(k % 3 + 1, unknowns, generator=generator, dtype=torch.float64) for k in range(candidates)
     ]
     return normal, torch.randn(2, unknowns, generator=generator, dtype=torch.float64)
+
+
+def factors_of(run, times, covariance):
+    start = torch.tensor([0.5, 0.0], dtype=torch.float64)
+    return prediction_factors(run.dynamics, start, times, run.dt, run.knowledge(covariance))
 
 
 def least_squares(rows, forecast):
@@ -68,7 +74,7 @@ def test_factors_have_the_covariance_of_a_prediction(tmp_path, cache):
     run = small(tmp_path / "run", cache, band=True)
     times = torch.tensor([0.0, 0.1, 0.35], dtype=torch.float64)
     covariance = torch.tensor([[0.04, 0.01], [0.01, 0.09]], dtype=torch.float64)
-    states, factors = run.prediction_factors([0.5, 0.0], times, covariance)
+    states, factors = factors_of(run, times, covariance)
     found = run.predict([0.5, 0.0], times, start_covariance=covariance)
     close(states, found.states[0], 1e-12)
     close(factors @ factors.mT, found.covariances[0], 1e-5)  # that of a prediction in float32
@@ -83,7 +89,7 @@ def test_the_first_of_two_fixes_of_a_spring_is_where_it_tells_most(tmp_path, cac
     rows = list(csv.DictReader((tmp_path / "plan.csv").read_text().splitlines()))
     assert [row["instrument"] for row in rows] == ["fix", "fix"]
     times = torch.arange(0, 2.05, 0.1, dtype=torch.float64)
-    _, factors = run.prediction_factors([0.5, 0.0], times, torch.tensor([1e-8, 1e-2]).double().diag())
+    _, factors = factors_of(run, times, torch.tensor([1e-8, 1e-2]).double().diag())
     left = [least_squares([factors[k, :1] / 1e-3], factors[-1, :1]) for k in range(21)]
     assert float(rows[0]["begin"]) == pytest.approx(float(times[int(np.argmin(left))]))
     assert float(rows[0]["sd_after [m]"]) == pytest.approx(math.sqrt(min(left)), rel=1e-4)
