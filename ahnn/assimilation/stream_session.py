@@ -42,6 +42,7 @@ REMEDIES = {
     "repeated": "They come twice: leave state= out or begin another",
     "lost": "Their filters have failed: set start= and start_sd=, or gate=",
     "unknown": "Their objects have no start: name the table of them, start=FILE, or one for all, start=[..]",
+    "fitted": "The start takes all of them: fitted=N takes fewer",
     "predicted": "Their numbers are missing: fill the columns of the sensor, or set measurement=",
 }
 """Remedies by the most frequent outcome, if no line was accepted."""
