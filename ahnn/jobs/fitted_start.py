@@ -21,16 +21,19 @@ from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.data.estimate_table import track_names
 from ahnn.data.starts import Starts
+from ahnn.dynamics import has_field
 from ahnn.dynamics.variations import jacobians_of_steps
 from ahnn.errors import TrainingError, UserError
 from ahnn.measurements import Instrument, Locating, Segment, Several, State
 from ahnn.measurements.smoothing import guess, located_at
 from ahnn.runs import Run
-from ahnn.shooting.initial_states import LOST, Linearised, Trial, fit_starts, linearised, refine
-from ahnn.shooting.path_sensitivities import path, steps_between, transitions
+from ahnn.shooting.initial_states import LOST, Fitted, Trial, fit_starts, linearised, refine
+from ahnn.shooting.path_sensitivities import Steps, path, steps_between
+from ahnn.shooting.quadrature import coarse
 from ahnn.shooting.robust import ROBUST
 from ahnn.tracking.initial_orbit import orbit_of_positions
 from ahnn.types import Space
+from ahnn.uncertainty import forecast_columns
 
 log = logging.getLogger("ahnn")
 
@@ -40,8 +43,8 @@ TRIED = 32
 """Number of training states from which a fit is tried."""
 ITERATIONS = 30
 """Largest number of iterations from the best of them."""
-UNSEEN = 1e-10
-"""Ratio of the information on the least to the best determined direction at which the first is unseen."""
+UNSEEN = 1e-7
+"""Ratio of the least to the largest singular value of measurements below which a direction is unseen."""
 
 
 class FittedStart(NamedTuple):
@@ -61,7 +64,8 @@ def fitted_start(
 ) -> FittedStart:
     """Fit a state to the first measurements of a file by robust least squares.
 
-    Its covariance is that of the noise and of the sensors' biases, times chi-square where that exceeds 1.
+    Its covariance is that of noise, learned parameters and biases of sensors, times chi-square
+    per degree of freedom where that exceeds 1.
 
     Args:
         run: a trained model.
@@ -79,26 +83,23 @@ def fitted_start(
         raise UserError(message)
     lines = first_readings(sensors, file, clock, wanted)
     segment, bias_sd = segment_of([reading for _, reading in lines], sensors, run)
-    steps = steps_between(segment.times, segment.instrument.longest)
     theta = parameters_to_vector(run.dynamics.parameters())
     jacobians = partial(jacobians_of_steps(run.dynamics, torch.float64), theta)
-    tried, robust = candidates(run, segment), Trial(run.dynamics.increment, jacobians, ROBUST["huber"])
-    every = torch.zeros(len(tried), dtype=torch.int64)
-    found = fit_starts(robust, tried, segment.rows(every), steps.rows(every))
-    best = found.starts[int(found.sums.argmin())][None]
-    fitted = refine(robust, best, segment, steps, ITERATIONS)
-    degrees = int(segment.measured) - best.shape[-1]
-    chi_square = float(fitted.sums) / max(degrees, 1)
-    here = linearised(robust, fitted.states, segment, steps)
+    trial, tried = Trial(run.dynamics.increment, jacobians, ROBUST["huber"]), candidates(run, segment)
+    steps, every = steps_between(segment.times, run.dt), torch.zeros(len(tried), dtype=torch.int64)
+    found = fit_starts(trial, tried, segment.rows(every), steps.rows(every))
+    best = int(found.sums.argmin())
+    if has_field(run.dynamics) and coarse(run.dynamics.field, found.states[best][None], steps.lengths):
+        steps = steps.quarters()
+    fitted = refine(trial, found.starts[best][None], segment, steps, ITERATIONS)
+    chi_square = float(fitted.sums) / max(int(segment.measured) - fitted.starts.shape[1], 1)
     if not chi_square <= LOST:
         message = (
             f"start: expected a state that fits the first {len(lines)} measurements; received none, "
             f"chi-square {chi_square:.3g} per degree of freedom. Fit fewer, fitted=N, or give start="
         )
         raise TrainingError(message)
-    covariance = covariance_of(here, segment, bias_sd, len(lines))
-    after = transitions(here.jacobians)[0, -1]
-    covariance = max(1.0, chi_square) * (after @ covariance @ after.mT)
+    covariance = max(1.0, chi_square) * covariance_of(run, trial, fitted, segment, steps, bias_sd)
     told = len(lines), lines[-1][0], chi_square, said(fitted.states[0, -1], covariance, run.space)
     log.info(
         "start: fitted to the first %d measurements, up to line %d, with %.3g of their noise's variance: %s; "
@@ -184,7 +185,7 @@ def candidates(run: Run, segment: Segment) -> Tensor:
 
 
 def orbit_guess(run: Run, segment: Segment) -> Tensor | None:
-    """Return the state (1, D) at the first time by Gibbs or Herrick and Gibbs; None for no Earth satellite."""
+    """Return the state (1, D) at the first time by Gibbs or Herrick-Gibbs; None for no Earth satellite."""
     space = run.space
     if (space.dof, space.units.position, space.units.velocity) != (3, "km", "km/s"):
         return None
@@ -198,29 +199,35 @@ def orbit_guess(run: Run, segment: Segment) -> Tensor | None:
     return path(run.dynamics.increment, state, -back.lengths)[:, -1]
 
 
-def covariance_of(here: Linearised, segment: Segment, bias_sd: Tensor, count: int) -> Tensor:
-    """Return the covariance (D, D) of a fitted state, of the noise and of unknown biases.
+def covariance_of(
+    run: Run, trial: Trial, fitted: Fitted, segment: Segment, steps: Steps, bias_sd: Tensor
+) -> Tensor:
+    """Return the covariance (D, D) of the last state of a fitted path.
 
-    Biases are consider parameters (Tapley, Schutz & Born 2004, section 6.3): they are not estimated.
+    Causes are the noise, and parameters and biases that the fit takes as known (consider covariance; Tapley,
+    Schutz & Born 2004, chapter 6).
 
     Raises:
         UserError: measurements that do not determine all components.
     """
+    here = linearised(trial, fitted.states, segment, steps)
     design = here.of_start[0].flatten(0, 1)
     scale = design.norm(dim=0)
-    unit = design / torch.where(scale > 0, scale, torch.ones_like(scale))
-    information = unit.mT @ unit
-    values = torch.linalg.eigvalsh(information)
-    if not bool((scale > 0).all()) or values[0] < UNSEEN * values[-1]:
+    values = torch.linalg.svdvals(design / torch.where(scale > 0, scale, torch.ones_like(scale)))
+    if len(design) < len(scale) or not bool((scale > 0).all()) or values[-1] < UNSEEN * values[0]:
         message = (
-            f"start: expected measurements that determine {len(scale)} components; received {count} that "
-            "leave some open. Fit more, fitted=N, or give start="
+            f"start: expected measurements that determine {len(scale)} components; received "
+            f"{int(segment.measured)} numbers that leave some open. Fit more, fitted=N, or give start="
         )
         raise UserError(message)
-    covariance = torch.linalg.inv(information) / scale / scale.unsqueeze(-1)
-    of_bias = torch.diag_embed((~segment.values[0].isnan()) / segment.instrument.deviations)
-    moved = covariance @ design.mT @ of_bias.flatten(0, 1) * bias_sd
-    return covariance + moved @ moved.mT
+    count = sum(parameter.numel() for parameter in run.dynamics.parameters())
+    spread = torch.zeros(count, 1, dtype=torch.float64) if run.uncertainty is None else run.uncertainty.spread
+    every = torch.ones(segment.times.shape, dtype=torch.bool)
+    noise, moved = next(forecast_columns(run.dynamics, fitted.states, steps, here, every, spread))
+    of_bias = torch.diag_embed((~segment.values[0].isnan()) / segment.instrument.deviations).flatten(0, 1)
+    biased = noise[0, -1] @ torch.linalg.qr(design).Q.mT @ (of_bias * bias_sd)
+    causes = torch.cat((noise[0, -1], moved[0, -1], biased), dim=-1)
+    return causes @ causes.mT
 
 
 def said(state: Tensor, covariance: Tensor, space: Space) -> str:

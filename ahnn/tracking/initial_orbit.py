@@ -92,7 +92,7 @@ class OrbitOfPositions(NamedTuple):
 
 
 def orbit_of_positions(positions: Array, times: Array) -> OrbitOfPositions | None:
-    """Return an orbit of the three of positions (T, 3) that span the most of an arc of 60 degrees; or None."""
+    """Return an orbit of the three of positions (T, 3) that span the most of an arc; None without one."""
     if (chosen := triple(positions)) is None:
         return None
     at, three = times[chosen], positions[chosen]
