@@ -83,6 +83,10 @@ def fitted_start(
         raise UserError(message)
     lines = first_readings(sensors, file, clock, wanted)
     segment, bias_sd = segment_of([reading for _, reading in lines], sensors, run)
+    size = len(run.space.components)
+    if int(segment.measured) < size or segment.times.shape[1] < 2:
+        message = f"start: expected {size} numbers or more, at two times or more; received {len(lines)} "
+        raise UserError(message + "measurements. Fit more, fitted=N, or give start=")
     theta = parameters_to_vector(run.dynamics.parameters())
     jacobians = partial(jacobians_of_steps(run.dynamics, torch.float64), theta)
     trial, tried = Trial(run.dynamics.increment, jacobians, ROBUST["huber"]), candidates(run, segment)
@@ -92,7 +96,7 @@ def fitted_start(
     if has_field(run.dynamics) and coarse(run.dynamics.field, found.states[best][None], steps.lengths):
         steps = steps.quarters()
     fitted = refine(trial, found.starts[best][None], segment, steps, ITERATIONS)
-    chi_square = float(fitted.sums) / max(int(segment.measured) - fitted.starts.shape[1], 1)
+    chi_square = float(fitted.sums) / max(int(segment.measured) - size, 1)
     if not chi_square <= LOST:
         message = (
             f"start: expected a state that fits the first {len(lines)} measurements; received none, "
@@ -214,7 +218,7 @@ def covariance_of(
     design = here.of_start[0].flatten(0, 1)
     scale = design.norm(dim=0)
     values = torch.linalg.svdvals(design / torch.where(scale > 0, scale, torch.ones_like(scale)))
-    if len(design) < len(scale) or not bool((scale > 0).all()) or values[-1] < UNSEEN * values[0]:
+    if not bool((scale > 0).all()) or values[-1] < UNSEEN * values[0]:
         message = (
             f"start: expected measurements that determine {len(scale)} components; received "
             f"{int(segment.measured)} numbers that leave some open. Fit more, fitted=N, or give start="

@@ -33,6 +33,7 @@ class SightingColumns(NamedTuple):
         clock: time scale of the epochs.
         object: place of the satellite's name; None for one satellite.
         values, deviations: place and factor to km, rad and km/s of each kind.
+        stated: standard deviations of kinds without such a column.
     """
 
     time: int
@@ -41,6 +42,7 @@ class SightingColumns(NamedTuple):
     object: int | None
     values: dict[Kind, tuple[int, float]]
     deviations: dict[Kind, tuple[int, float]]
+    stated: dict[Kind, float]
 
 
 def columns_data(text: str, file: str, said: TrackingSidecar, note: Note = refuse) -> list[TrackingData]:
@@ -98,18 +100,20 @@ def roles_of(
     if clock not in CLOCKS:
         place._replace(column=names[time]).refuse(f"a time scale, {', '.join(CLOCKS)}", repr(clock))
     values, deviations = dict[Kind, tuple[int, float]](), dict[Kind, tuple[int, float]]()
-    sided = {kind: said.units.get(group) for group, kinds in COLUMNS.items() for kind in kinds}
+    groups = {kind: group for group, kinds in COLUMNS.items() for kind in kinds}
     for k, (cell, unit) in enumerate(parts):
-        kind = next((one for one in KINDS if cell.removeprefix(SD) == one), None)
+        kind: Kind | None = next((one for one in KINDS if cell.removeprefix(SD) == one), None)
         if kind is not None:
-            unit = unit or given[k] or sided[kind]
+            unit = unit or given[k] or said.units.get(groups[kind])
             where = place._replace(column=cell)
             halved = 0.5 if said.two_way == "whole" and kind.startswith("range") else 1.0
             target = deviations if cell.startswith(SD) else values
             target[kind] = k, halved * factor_of(kind, unit, where)
     if not values:
         place.refuse(f"a column of {', '.join(KINDS)}", ", ".join(names))
-    return SightingColumns(time, station, clock, one[2][0] if one[2] else None, values, deviations)
+    sds = {kind: said.deviations.get(groups[kind]) for kind in values}
+    stated = {kind: sd * values[kind][1] for kind, sd in sds.items() if sd is not None}
+    return SightingColumns(time, station, clock, one[2][0] if one[2] else None, values, deviations, stated)
 
 
 def factor_of(kind: Kind, unit: str | None, place: Place) -> float:
@@ -128,10 +132,11 @@ def reading_of(cells: list[str], place: Place, roles: SightingColumns) -> Tracki
     moment = utc_moment(cells[roles.time], place._replace(column="time"), roles.clock)
     if cells[roles.station].lower() in MISSING:
         place._replace(column="station").refuse("the name of a station", "none")
-    values, deviations = dict[Kind, float](), dict[Kind, float]()
+    values = dict[Kind, float]()
     for kind, (k, factor) in roles.values.items():
         if cells[k].lower() not in MISSING:
             values[kind] = measured(kind, cells[k], factor, place._replace(column=kind))
+    deviations = {kind: sd for kind, sd in roles.stated.items() if kind in values}
     for kind, (k, factor) in roles.deviations.items():
         if cells[k].lower() not in MISSING:
             deviations[kind] = factor * within(cells[k], place._replace(column=SD + kind), 1e-30, 1e30)
