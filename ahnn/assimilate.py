@@ -3,7 +3,8 @@
 run=DIR             a run folder; or pretrained=NAME, a model shipped with the package; ckpt=best
 measurements=FILE   CSV with a header (time, sensor, numbers, sd_NAME) or JSON lines; - is standard input
 start=[X,...]       the state at time=0; or FILE: YAML or JSON (mean, sd or covariance), an ephemeris, table,
-                    element set, or output of an assimilation, with its epoch, frame and covariance
+                    element set, or output of an assimilation, with its epoch, frame and covariance; start=fit
+                    fits the first measurements of FILE, fitted=20 of them, and filters those behind them
 start_sd=[..]       its standard deviations, one for each component (of one degree of freedom q and p), or
                     [position,velocity], in place of a covariance in FILE
 controls=FILE       of a model with controls: a table of times and controls, or numbers that are held; without
