@@ -111,11 +111,14 @@ def fitted_start(
     chi_square = float(best.path.sums) / max(int(best.segment.measured) - size, 1)
     told = f"chi-square {chi_square:.3g} per degree of freedom, {outliers} outliers"
     if not (chi_square <= LOST and outliers <= MOST * int(segment.measured)):
-        message = f"start: expected a state that fits the first {len(lines)} measurements; received none: "
-        raise TrainingError(f"{message}{told}. Fit fewer, fitted=N, or give start=")
+        message = (
+            f"start: expected a state that fits the first {len(lines)} measurements; received none: {told}. "
+            "Fit fewer, fitted=N, or give start="
+        )
+        raise TrainingError(message)
     covariance = max(1.0, chi_square) * covariance_of(run, best, bias_sd)
     log.info(
-        "start: fitted to the first %d measurements, up to line %d (%s): %s; the filter takes those behind them",
+        "start: fitted to the first %d measurements, up to line %d (%s): %s; the filter goes on behind it",
         *(len(lines), lines[-1][0], told, said(last[0], covariance, run.space)),
     )
     start = Starts(("UNKNOWN",), last, segment.times[:, -1], covariances=covariance[None])
