@@ -16,7 +16,6 @@ from ahnn.training.closing_journal import ClosingJournal
 
 NOISY = [
     *SMALL,
-    "data.trajectories=10",
     "system.steps=40",
     "recipe=noisy_states",
     "data.noise=0.01",
@@ -54,6 +53,19 @@ def assert_same_end(one: Path, other: Path) -> None:
     assert all(torch.equal(known[0][key], value) for key, value in known[1].items())
 
 
+def fail(*_, **__):
+    raise Interrupted
+
+
+def interrupted(folder: Path, ckpt: str | None, result) -> None:
+    """Train with another `ClosingJournal.result`, and without an evaluation."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ClosingJournal, "result", result)
+        patch.setattr("ahnn.jobs.closing.report", fail)
+        with pytest.raises(Interrupted):
+            trained(folder, ckpt)
+
+
 def cut_at(fraction: float, whole: tuple[Path, int], folder: Path) -> None:
     """Cut a training in its closing stage, resume it, cut its evaluation, and resume it again."""
     (uncut, count), result, computed = whole, ClosingJournal.result, list[str]()
@@ -66,18 +78,10 @@ def cut_at(fraction: float, whole: tuple[Path, int], folder: Path) -> None:
     def counted(journal, name, compute):
         return result(journal, name, lambda: (computed.append(name), compute())[1])
 
-    def fail(*_, **__):
-        raise Interrupted
-
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(Interrupted):
-        patch.setattr(ClosingJournal, "result", cut)
-        trained(folder)
+    interrupted(folder, None, cut)
     found = len(list((folder / "checkpoints" / "closing").glob("*.safetensors")))
     assert found >= fraction * count
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(Interrupted):
-        patch.setattr(ClosingJournal, "result", counted)
-        patch.setattr("ahnn.jobs.closing.report", fail)
-        trained(folder, "last")
+    interrupted(folder, "last", counted)
     assert len(computed) == count - found
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("ahnn.jobs.closing.conclude_with_noise", fail)  # it is done
