@@ -11,6 +11,7 @@ COMMANDS = f"""ahnn {__version__}: learn Hamiltonian dynamics, and assimilate me
   python -m ahnn.train       train a model and evaluate it              --help
   python -m ahnn.evaluate    evaluate a finished run again              --help
   python -m ahnn.predict     predict states, with uncertainty bands     --help
+  python -m ahnn.plan        choose the measurements worth taking       --help
   python -m ahnn.export      export a trained model to other programs   --help
   python -m ahnn.reproduce   reproduce the tables of the paper          --help
   python -m ahnn.benchmark   compare with published benchmark scores    --help

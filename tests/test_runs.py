@@ -151,7 +151,7 @@ def test_a_run_is_the_model_that_was_trained(tmp_path):
     [
         (lambda run: run.flow([[1.0, 2.0, 3.0]]), r"x: expected states \[q, p\].*received shape \(1, 3\)"),
         (lambda run: run.rollout("a", 3), r"start: expected numbers"),
-        (lambda run: run.energy([0.1, 0.2]), r"energy: expected a model with a Hamiltonian"),
+        (lambda run: run.energy([0.1, 0.2]), r"energy: expected a Hamiltonian"),
     ],
 )
 def test_wrong_arguments_of_a_run_are_named(tmp_path_factory, call_it, message):

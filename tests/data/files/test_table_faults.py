@@ -116,6 +116,7 @@ def test_a_file_that_is_none(tmp_path):
     with pytest.raises(UserError, match=r"expected different files; received .*good.csv twice"):
         Files("mine", [str(good), f"{tmp_path}/../{tmp_path.name}/good.csv"])
     assert "row 2: expected text in UTF-8" in message_of(tmp_path, b"t,x,vx\n0,\xff,1\n")
+    assert "row 3: expected text in UTF-8" in message_of(tmp_path, b"t,x,vx\n0,1,1\n\xff,1,1\n")
 
 
 def test_a_gap_that_separates_two_trajectories(tmp_path):
