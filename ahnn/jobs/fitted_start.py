@@ -106,8 +106,8 @@ def fitted_start(
     covariance = max(1.0, chi_square) * covariance_of(run, trial, fitted, segment, steps, bias_sd)
     told = len(lines), lines[-1][0], chi_square, said(fitted.states[0, -1], covariance, run.space)
     log.info(
-        "start: fitted to the first %d measurements, up to line %d, with %.3g of their noise's variance: %s; "
-        "the filter goes on behind them",
+        "start: fitted to the first %d measurements, up to line %d, with %.3g of their noise's variance: "
+        "%s; the filter continues after them",
         *told,
     )
     start = Starts(("UNKNOWN",), fitted.states[:, -1], segment.times[:, -1], covariances=covariance[None])
@@ -119,7 +119,7 @@ def first_readings(
 ) -> list[tuple[int, Reading]]:
     """Return the first measurements of a file in order of time, with their lines; raises UserError."""
     if file == "-":
-        message = "start: expected measurements=FILE beside start=fit, which reads its first lines twice; "
+        message = "start: expected measurements=FILE with start=fit, which reads its first lines twice; "
         raise UserError(message + "received standard input")
     found, layout, header = list[tuple[int, Reading]](), None, ""
     most = TAKEN if wanted is None else round(wanted) if wanted >= 1 else None
@@ -221,7 +221,8 @@ def covariance_of(
     if not bool((scale > 0).all()) or values[-1] < UNSEEN * values[0]:
         message = (
             f"start: expected measurements that determine {len(scale)} components; received "
-            f"{int(segment.measured)} numbers that leave some open. Fit more, fitted=N, or give start="
+            f"{int(segment.measured)} numbers, which leave some undetermined. Fit more, fitted=N, or "
+            f"give start="
         )
         raise UserError(message)
     count = sum(parameter.numel() for parameter in run.dynamics.parameters())
