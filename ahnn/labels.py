@@ -12,7 +12,7 @@ KILOGRAMS = {"m": "kg m/s", "rad": "kg m²/s"}
 def quantity(space: Space, name: str) -> tuple[str, str]:
     """Return the label and unit of `position`, `velocity` or `energy`.
 
-    Momenta that are not mass times velocity are shown in place of velocities. Where only some coordinates are
+    Momenta that are not mass times velocity are shown instead of velocities. Where only some coordinates are
     angles, both units are named.
     """
     if name != "energy" and len(kinds := [*dict.fromkeys(space.angular)]) > 1:
@@ -63,7 +63,7 @@ def require_velocities(space: Space, who: str) -> None:
     """Raise UserError for reading or writing velocities where momenta are not mass times velocity."""
     if not space.mechanical:
         message = (
-            f"{who}: expected momenta that are mass times velocity; received {space.name}, whose are not. "
-            "Use a table"
+            f"{who}: expected momenta equal to mass times velocity; received {space.name}, whose momenta "
+            "are not. Use a table"
         )
         raise UserError(message)

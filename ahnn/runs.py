@@ -28,7 +28,8 @@ from ahnn.prediction.arguments import (
     starts_of,
     states_of,
 )
-from ahnn.prediction.propagation import Knowledge, Prediction, predicted, require_times
+from ahnn.prediction.followed_path import Knowledge
+from ahnn.prediction.propagation import Prediction, predicted, require_times
 from ahnn.rollouts import rollout
 from ahnn.types import Space
 from ahnn.uncertainty import Domain, Uncertainty, learned_constants, rollout_covariances
@@ -38,10 +39,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from ahnn.evaluation.results import Results
-
-
-PLOTTED = 300
-"""Number of sampling intervals of a plot without times."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -186,10 +183,7 @@ class Run:
             UserError: the weights contain no representative training states.
         """
         if self.domain is None:
-            message = (
-                "novelty: expected weights that say where their training data were; received those of an "
-                "earlier version. Train again"
-            )
+            message = "novelty: expected weights with their training domain; received old ones. Train again"
             raise UserError(message)
         return self.domain.novelty(self._exact, states_of(x, "x", self.dynamics, self.space).double())
 
@@ -224,45 +218,52 @@ class Run:
             UserError: invalid starts, times or controls, or a damaged covariance file.
         """
         x = starts_of(start, self.dynamics, self.space)
-        spread = None if self.uncertainty is None else self.uncertainty.spread
-        known = Knowledge(spread, self.domain)
         if start_sd is not None:
             start_covariance = state_deviations(start_sd, self.space, "start_sd").square().diag()
-        if start_covariance is not None:
-            factor = covariance_factor(start_covariance, x.shape[-1], "start_covariance")
-            known = known._replace(start=factor)
+        known = self.knowledge(start_covariance)
         times = as_float64(times, "times", x.device).detach()
         require_times(times)
         clock = clock_of_samples(self.dynamics, times, controls, len(x), linear=linear)
         found = predicted(self._exact, x.double(), times, self.dt, known, description, clock)
-        if not self._asked(x):
-            return found
-        steps = times.diff().expand(len(x), -1)
-        path = rollout(self.dynamics, x, steps, len(times), longest=self.dt, gradients=True, clock=clock)
-        return found._replace(states=path.double())
+        if self._asked(x):
+            each = times.diff().expand(len(x), -1)
+            path = rollout(self.dynamics, x, each, len(times), longest=self.dt, gradients=True, clock=clock)
+            found = found._replace(states=path.double())
+        return found
 
     def plot(self, start: Numbers | None = None, times: Numbers | None = None, **options: Any) -> Figure:
         """Plot one predicted trajectory, with its band and novelty where known, as a matplotlib figure.
 
         Args:
             start: (2n,) state at the first of the times; by default a training state.
-            times: (T,) increasing; by default `PLOTTED` sampling intervals.
+            times: (T,) increasing; by default 300 sampling intervals.
             options: further arguments of `predict`.
 
         Raises:
             UserError: as for `predict`, several starts, or no start where training states are unknown.
         """
-        from ahnn.prediction.figure import prediction_figure
+        from ahnn.prediction.figure import PLOTTED, prediction_figure
 
-        if start is None and self.domain is not None:
-            start = self.domain.states[0]
+        start = self.domain.states[0] if start is None and self.domain else start
         if start is None or len(starts_of(start, self.dynamics, self.space)) != 1:
             message = "start: expected one state of the space; received none or several"
             raise UserError(message)
-        times = self.dt * torch.arange(PLOTTED + 1) if times is None else times
         with torch.no_grad():
+            times = self.dt * torch.arange(PLOTTED + 1) if times is None else times
             found = self.predict(start, times, **options)
         return prediction_figure(found, self.space, f"{self.space.name}: {self.dynamics.assumes}")
+
+    def knowledge(self, start_covariance: Numbers | None = None) -> Knowledge:
+        """Return the uncertainty of the parameters, and of starts with a covariance (2n, 2n) or (B, 2n, 2n).
+
+        Raises:
+            UserError: an invalid covariance, or a damaged file of that of the parameters.
+        """
+        known = Knowledge(self.uncertainty and self.uncertainty.spread, self.domain)
+        if start_covariance is None:
+            return known
+        factor = covariance_factor(start_covariance, 2 * self.space.dof, "start_covariance")
+        return known._replace(start=factor)
 
     @property
     def constants(self) -> dict[str, tuple[float, float]]:
@@ -270,8 +271,7 @@ class Run:
 
         The deviation is NaN where the parameter covariance is unknown.
         """
-        spread = None if self.uncertainty is None else self.uncertainty.spread
-        found = learned_constants(self._exact, spread)
+        found = learned_constants(self._exact, self.knowledge().spread)
         return {one.name: (one.value, one.deviation) for one in found}
 
     @cached_property
@@ -288,12 +288,11 @@ class Run:
 
     def _asked(self, *given: Tensor | float) -> bool:
         """Return whether a start, a step or a parameter requires gradients."""
-        tensors = (*given, *self.dynamics.parameters())
-        asked = any(isinstance(one, Tensor) and one.requires_grad for one in tensors)
-        return torch.is_grad_enabled() and asked
+        tensors = (one for one in (*given, *self.dynamics.parameters()) if isinstance(one, Tensor))
+        return torch.is_grad_enabled() and any(one.requires_grad for one in tensors)
 
     @property
     def _exact(self) -> Dynamics:
         """The dynamics in float64, also after a cast by the user."""
-        doubles = all(p.dtype == torch.float64 for p in self.dynamics.parameters())
-        return self.dynamics if doubles else self.dynamics.frozen()
+        narrow = any(p.dtype != torch.float64 for p in self.dynamics.parameters())
+        return self.dynamics.frozen() if narrow else self.dynamics

@@ -101,6 +101,7 @@ ENTRIES = {
     "reproduce",
     "benchmark",
     "calibrate",
+    "plan",
     "orbit",
     "fitting",
     "cli",
@@ -110,7 +111,7 @@ ENTRIES = {
 """The doors of the house: they may import every room, and no room imports them."""
 DOORS = [
     *("train", "evaluate", "predict", "export", "assimilate", "report", "reproduce", "benchmark", "orbit"),
-    "calibrate",
+    *("calibrate", "plan"),
     "data/__main__",
 ]
 """What users call: a command line goes in, `cli` makes values of it, and `jobs` does what they say."""

@@ -122,13 +122,13 @@ def test_velocities_are_neither_read_nor_written_in_their_place(tmp_path):
     (tmp_path / "a.csv").write_text("t,q,v\n0,1,2\n1,2,3\n")
     (tmp_path / "b.csv").write_text("t,q,p\n0,1,2\n1,2,3\n")
     space = Space("fast", ("q", "p"), mechanical=False)
-    with pytest.raises(UserError, match="expected momenta that are mass times velocity; received fast"):
+    with pytest.raises(UserError, match="expected momenta equal to mass times velocity; received fast"):
         starts(str(tmp_path / "a.csv"), space)
     assert starts(str(tmp_path / "b.csv"), space).states.tolist() == [[1.0, 2.0]]
     orbit = Space("o", tuple("xyzabc"), Units("s", "km", "km/s", "km²/s²"), mechanical=False)
-    with pytest.raises(UserError, match="oem: expected momenta that are mass times velocity"):
+    with pytest.raises(UserError, match="oem: expected momenta equal to mass times velocity"):
         write_ephemeris(tmp_path / "o.oem", SimpleNamespace(), orbit, "o", Reference())  # pyright: ignore
-    with pytest.raises(UserError, match="output: expected momenta that are mass times velocity"):
+    with pytest.raises(UserError, match="output: expected momenta equal to mass times velocity"):
         ephemerides(Prediction(torch.zeros(1), torch.zeros(1, 1, 6)), starts([0.0] * 6, orbit), orbit)
     assert Files("f", str(tmp_path / "a.csv")).space.mechanical
 

@@ -20,7 +20,7 @@ def warn_of_twins(jobs: Iterable[DictConfig], names: Iterable[str]) -> None:
     for cfg, name in zip(jobs, names, strict=True):
         first = seen.setdefault(repr(decisive(cfg)), name)
         if first != name:
-            log.warning("two jobs of the sweep train the same weights: %r is %r", name, first)
+            log.warning("two jobs of the sweep train the same weights: %r and %r", name, first)
 
 
 def decisive(cfg: DictConfig) -> dict[str, Any]:

@@ -95,9 +95,9 @@ def go_on(cfg: DictConfig) -> str:
     from ahnn.cli.parts import is_multirun
 
     if cfg.get("trial") is not None:
-        return "the same command continues the search"
+        return "repeat the command to continue the search"
     if not (Path(cfg.folder) / "checkpoints" / "last.ckpt").exists():
-        return "there is no checkpoint yet: the same command starts from the beginning"
+        return "there is no checkpoint yet: repeating the command starts from the beginning"
     one_of_several = HydraConfig.initialized() and cfg.folder != HydraConfig.get().runtime.output_dir
     seed = f" seed={cfg.seed} seeds=null" if one_of_several else ""
     seed += "" if cfg.weights is None else " weights=null"

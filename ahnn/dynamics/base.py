@@ -27,10 +27,10 @@ class Dynamics(nn.Module, ABC):
 
     Attributes:
         spec: plain values from which `make_dynamics` builds the same module, weights apart.
-        assumes: what is taken as known of the dynamics; scores mean little without it.
+        assumes: what is assumed known about the dynamics, to be stated with every score.
         clock: k, clock coordinates of the states: 0, 1 for time, 1 + m for time and m controls.
         begins_known: whether fresh parameters are known physics alone, the learned part being zero.
-        anchored: whether it knows where the origin of the positions is, so that a bias of all readings shows.
+        anchored: whether it fixes the origin of the positions, so that a bias of all readings is detectable.
     """
 
     spec: dict[str, Any]

@@ -176,7 +176,7 @@ def _row(row: Mapping[str, Any]) -> Row:
 
 def _text(value: Any) -> str:
     if not isinstance(value, str):
-        message = f"expected a text, received {value!r}"
+        message = f"expected a string, received {value!r}"
         raise TypeError(message)
     return value
 

@@ -76,6 +76,6 @@ def announce(prepared: Prepared) -> None:
         f"{per_epoch * epochs.stop - done:,}",
         data.batch_size,
         len(epochs),
-        f" and at most {last} last steps on all" if (last := model.curriculum.closing) else "",
+        f" and at most {last} closing steps on all data" if (last := model.curriculum.closing) else "",
         f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min",
     )

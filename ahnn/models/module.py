@@ -60,7 +60,7 @@ class AbstractModel(LightningModule, ABC):
         super().__init__()
         if loss.get("derivative") and dynamics.clock > 1:
             message = (
-                "loss.derivative: expected 0 with controls, whose jumps no difference of samples crosses; "
+                "loss.derivative: expected 0 with controls, whose jumps prevent differences of samples; "
                 f"received {loss['derivative']}. Use loss=recursive"
             )
             raise UserError(message)

@@ -185,7 +185,7 @@ def choice_of(kind: type[T], values: Any, who: str) -> T:
         UserError: see `setup_of`.
     """
     if not isinstance(values, Mapping):
-        message = f"{who}: expected keys with values; received {values!r}"
+        message = f"{who}: expected a mapping of keys to values; received {values!r}"
         raise UserError(message)
     hints, made = type_hints(kind), dict(values)
     for name, value in values.items():

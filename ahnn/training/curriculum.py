@@ -24,8 +24,8 @@ field, then relative to the noise.
 WHOLE = "whole"
 """Name of the stage of shooting over whole trajectories."""
 STAGE = (
-    "intervals >= 3, relative, weak or whole, with a fraction of the epochs and, if wanted, "
-    "stretches of a step"
+    "intervals >= 3, relative, weak or whole, with a fraction of the epochs and optionally the segments "
+    "per step"
 )
 
 

@@ -134,7 +134,7 @@ class ShootingProblem:
     ) -> None:
         if not has_field(dynamics):
             message = (
-                "loss.stages: expected dynamics with a field, whose rates shape the steps; received "
+                "loss.stages: expected dynamics with a field, whose rates determine the steps; received "
                 f"{type(dynamics).__name__}. Use model=ahnn or model=node"
             )
             raise UserError(message)

@@ -21,7 +21,7 @@ Quantity = Literal["position", "velocity", "energy"]
 
 BESIDE = 0.17
 """Horizontal offsets of a model without and with filter."""
-SIDES = "Left without measurements, right of it with the filter. "
+SIDES = "Left: without measurements; right: with the filter. "
 DOTS = "Dots are means over seeds, lines their range. "
 MEANING = "RMSE: mean over test trajectories of the rms vector norm; floor: what perfect knowledge scores."
 
