@@ -26,7 +26,7 @@ usage: python -m ahnn.train [GROUP=OPTION ...] [KEY=VALUE ...]
   python -m ahnn.train model=hnn system=molniya seed=201
   python -m ahnn.train experiment=molniya_mechanical budget=smoke
   python -m ahnn.train -m model=hnn,node seed=7,201       # four jobs, one table
-  python -m ahnn.train run=runs/mine ckpt=last            # resume a run
+  python -m ahnn.train model=hnn run=runs/mine ckpt=last  # resume: repeat the whole command, with ckpt=last
 
 Groups and their options, defaults in [brackets]:
 
