@@ -37,7 +37,7 @@ well; the command line takes precedence.
 
   ckpt=last             resume a run: repeat its whole command, and add this
   --help GROUP=OPTION   the keys of an option with their comments
-  --cfg job             configuration of the command; --resolve resolves references
+  --cfg job             configuration; --resolve resolves references
   -m                    several jobs: all combinations of KEY=A,B, or a sweep=
   --config-dir DIR      your own options: DIR/system/mine.yaml
   -sc install=bash      completion: eval "$(ahnn-train -sc install=bash)"
