@@ -81,7 +81,7 @@ def test_outliers_do_not_spoil_the_fit():
     ("words", "said"),
     [
         (["fitted=1"], "start: expected 6 numbers or more, at two times or more; received 1 measure"),
-        (["fitted=41"], "received 41 of 41 fitted. The start takes all of them"),
+        (["fitted=41"], "received 41 of 41 fitted. The start uses all of them"),
         (["measurements=-"], "start: expected measurements=FILE with start=fit"),
         (["start_sd=[1,1]"], "start_sd: expected none with start=fit"),
         (["time=3"], "time: expected none with start=fit"),
