@@ -47,13 +47,12 @@ class Source(Protocol):
 
 @runtime_checkable
 class Observed(Source, Protocol):
-    """Source of measurements that are no components of states, whose `read` has the positions they show.
+    """Source of measurements that are no components of states, whose `read` has the positions they show."""
 
-    Attributes:
-        measurement: of all its sensors side by side, with their noise and biases.
-    """
-
-    measurement: Any
+    @property
+    def measurement(self) -> Any:
+        """Model of all its sensors side by side, with their noise and biases."""
+        ...
 
     def observations(self) -> Observations:
         """Return the measurements of all trajectories, (B, T, M), NaN where missing."""

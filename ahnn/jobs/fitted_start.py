@@ -24,6 +24,7 @@ from ahnn.data.starts import Starts
 from ahnn.dynamics import has_field
 from ahnn.dynamics.variations import jacobians_of_steps
 from ahnn.errors import TrainingError, UserError
+from ahnn.evaluation.goodness_of_fit import OUTLYING
 from ahnn.measurements import Instrument, Locating, Segment, Several, State
 from ahnn.measurements.smoothing import guess, located_at
 from ahnn.runs import Run
@@ -43,6 +44,8 @@ TRIED = 32
 """Number of training states from which a fit is tried."""
 ITERATIONS = 30
 """Largest number of iterations from the best of them."""
+MOST = 0.2
+"""Largest number of outliers, as a fraction of the others."""
 UNSEEN = 1e-7
 """Ratio of the least to the largest singular value of measurements below which a direction is unseen."""
 
@@ -57,6 +60,22 @@ class FittedStart(NamedTuple):
 
     start: Starts
     line: int
+
+
+class BestFit(NamedTuple):
+    """Fit of one state to measurements by least squares.
+
+    Attributes:
+        trial: flow.
+        segment: measurements, NaN in place of outliers.
+        steps: steps between them.
+        path: fitted path.
+    """
+
+    trial: Trial
+    segment: Segment
+    steps: Steps
+    path: Fitted
 
 
 def fitted_start(
@@ -87,31 +106,40 @@ def fitted_start(
     if int(segment.measured) < size or segment.times.shape[1] < 2:
         message = f"start: expected {size} numbers or more, at two times or more; received {len(lines)} "
         raise UserError(message + "measurements. Fit more, fitted=N, or give start=")
-    theta = parameters_to_vector(run.dynamics.parameters())
-    jacobians = partial(jacobians_of_steps(run.dynamics, torch.float64), theta)
-    trial, tried = Trial(run.dynamics.increment, jacobians, ROBUST["huber"]), candidates(run, segment)
-    steps, every = steps_between(segment.times, run.dt), torch.zeros(len(tried), dtype=torch.int64)
-    found = fit_starts(trial, tried, segment.rows(every), steps.rows(every))
-    best = int(found.sums.argmin())
-    if has_field(run.dynamics) and coarse(run.dynamics.field, found.states[best][None], steps.lengths):
-        steps = steps.quarters()
-    fitted = refine(trial, found.starts[best][None], segment, steps, ITERATIONS)
-    chi_square = float(fitted.sums) / max(int(segment.measured) - size, 1)
-    if not chi_square <= LOST:
+    best = best_fit(run, segment)
+    outliers, last = int(segment.measured - best.segment.measured), best.path.states[:, -1]
+    chi_square = float(best.path.sums) / max(int(best.segment.measured) - size, 1)
+    told = f"chi-square {chi_square:.3g} per degree of freedom, {outliers} outliers"
+    if not (chi_square <= LOST and outliers <= MOST * int(segment.measured)):
         message = (
-            f"start: expected a state that fits the first {len(lines)} measurements; received none, "
-            f"chi-square {chi_square:.3g} per degree of freedom. Fit fewer, fitted=N, or give start="
+            f"start: expected a state that fits the first {len(lines)} measurements; received none: {told}. "
+            "Fit fewer, fitted=N, or give start="
         )
         raise TrainingError(message)
-    covariance = max(1.0, chi_square) * covariance_of(run, trial, fitted, segment, steps, bias_sd)
-    told = len(lines), lines[-1][0], chi_square, said(fitted.states[0, -1], covariance, run.space)
+    covariance = max(1.0, chi_square) * covariance_of(run, best, bias_sd)
     log.info(
-        "start: fitted to the first %d measurements, up to line %d, with %.3g of their noise's variance: "
-        "%s; the filter continues after them",
-        *told,
+        "start: fitted to the first %d measurements, up to line %d (%s): %s; the filter continues after them",
+        *(len(lines), lines[-1][0], told, said(last[0], covariance, run.space)),
     )
-    start = Starts(("UNKNOWN",), fitted.states[:, -1], segment.times[:, -1], covariances=covariance[None])
+    start = Starts(("UNKNOWN",), last, segment.times[:, -1], covariances=covariance[None])
     return FittedStart(start, lines[-1][0])
+
+
+def best_fit(run: Run, segment: Segment) -> BestFit:
+    """Return the path that fits measurements best, from any candidate, without outliers."""
+    theta = parameters_to_vector(run.dynamics.parameters())
+    jacobians = partial(jacobians_of_steps(run.dynamics, torch.float64), theta)
+    trial, tried = Trial(run.dynamics.increment, jacobians, ROBUST["student"]), candidates(run, segment)
+    steps, every = steps_between(segment.times, run.dt), torch.zeros(len(tried), dtype=torch.int64)
+    found = fit_starts(trial, tried, segment.rows(every), steps.rows(every))
+    best = found.rows(found.sums.argmin()[None])
+    if has_field(run.dynamics) and coarse(run.dynamics.field, best.states, steps.lengths):
+        steps = steps.quarters()
+    fitted = refine(trial, best.starts, segment, steps, ITERATIONS)
+    far = segment.residuals(fitted.states[:, steps.ends]).abs() > OUTLYING
+    segment = segment._replace(values=segment.values.masked_fill(far, torch.nan))
+    trial = trial._replace(robust=ROBUST["none"])
+    return BestFit(trial, segment, steps, refine(trial, fitted.starts, segment, steps, ITERATIONS))
 
 
 def first_readings(
@@ -203,9 +231,7 @@ def orbit_guess(run: Run, segment: Segment) -> Tensor | None:
     return path(run.dynamics.increment, state, -back.lengths)[:, -1]
 
 
-def covariance_of(
-    run: Run, trial: Trial, fitted: Fitted, segment: Segment, steps: Steps, bias_sd: Tensor
-) -> Tensor:
+def covariance_of(run: Run, best: BestFit, bias_sd: Tensor) -> Tensor:
     """Return the covariance (D, D) of the last state of a fitted path.
 
     Causes are the noise, and parameters and biases that the fit takes as known (consider covariance; Tapley,
@@ -214,6 +240,7 @@ def covariance_of(
     Raises:
         UserError: measurements that do not determine all components.
     """
+    trial, segment, steps, fitted = best
     here = linearised(trial, fitted.states, segment, steps)
     design = here.of_start[0].flatten(0, 1)
     scale = design.norm(dim=0)

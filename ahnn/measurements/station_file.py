@@ -5,6 +5,7 @@ latitude: 67.86            # degrees, geodetic
 longitude: 20.96
 height: 400                # m
 min_elevation: 10          # degrees
+event: receive             # or transmit: times tag it, light takes its time; bounce, the default, has none
 noise: {range: 0.05, azimuth: 0.006, elevation: 0.006}     # km, degrees, km/s; what it measures
 bias: {range: 0.02}        # of what is measured, as it is known
 bias_sd: {range: 0.1}      # and to what; estimated
@@ -27,7 +28,7 @@ from ahnn.contents import read_plain
 from ahnn.errors import UserError
 from ahnn.measurements.angles import Differing
 from ahnn.measurements.base import Time
-from ahnn.measurements.ground_station import Degrees, GroundStation
+from ahnn.measurements.ground_station import Degrees, Event, GroundStation
 from ahnn.measurements.several import Several
 
 SEEN = ("range", "azimuth", "elevation", "range_rate")
@@ -43,6 +44,7 @@ class StationEntry:
         latitude, longitude: geodetic, degrees.
         height: m above the ellipsoid.
         min_elevation: degrees below which it sees nothing.
+        event: that times tag; None where nothing is said.
         noise: standard deviations by kind, km, degrees and km/s.
         bias: known biases, likewise.
         bias_sd: standard deviations of the biases, likewise.
@@ -52,6 +54,7 @@ class StationEntry:
     longitude: Finite
     height: Finite = 0.0
     min_elevation: Degrees = 0.0
+    event: Event | None = None
     noise: dict[str, float] = field(default_factory=dict)
     bias: dict[str, float] = field(default_factory=dict)
     bias_sd: dict[str, float] = field(default_factory=dict)
@@ -112,7 +115,8 @@ class BiasedStation(Differing):
             raise UserError(message)
         place = entry.latitude, entry.longitude, entry.height / 1e3
         lowest = {"min_elevation": entry.min_elevation, "earth_angle": earth_angle}
-        self.station = GroundStation(*place, range_rate=True, mass=mass, **lowest)
+        self.event: Event = entry.event or "bounce"
+        self.station = GroundStation(*place, range_rate=True, mass=mass, event=self.event, **lowest)
         self.kept, self.mass = kept, mass
         self.names = tuple(SEEN[k] for k in kept)
         self.units = tuple(self.station.units[k] for k in kept)

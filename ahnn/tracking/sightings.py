@@ -1,7 +1,7 @@
 """Source of trainings on what stations measured: ranges, angles and range rates of satellites in files.
 
 States are in the true equator of date, about whose pole the Earth turns (CIRS): precession, nutation, polar
-motion, light time and refraction are not modelled, as by `ahnn.measurements.GroundStation`.
+motion and refraction are not modelled, as by `ahnn.measurements.GroundStation`.
 """
 
 from __future__ import annotations
@@ -109,6 +109,12 @@ class Sightings:
         first, unused = 0, set[str]()
         columns: dict[str, dict[int, int]] = {}
         for name, station in self.measurement.stations.items():
+            if name in data.stations and station.event != data.event:
+                message = (
+                    f"stations: {name}.event: expected {data.event}, as {file}; received {station.event}. "
+                    "Say it in the file of the stations, or in a sidecar of the measurements"
+                )
+                raise UserError(message)
             columns[name] = {k: first + c for c, k in enumerate(station.kept)}
             first += len(station.kept)
         for s, name in enumerate(data.stations):

@@ -58,6 +58,7 @@ def place(tmp_path_factory):
                 text = [repr(cell) for cell in cells] + [""] * (4 - len(cells))
                 epoch = spelled(ZERO + round(STEP * k * SECOND), utc=True)
                 lines.append(",".join([epoch, name, *text]))
+    (folder / "seen.yaml").write_text("event: bounce")
     (folder / "seen.csv").write_text("\n".join(lines) + "\n")
     return folder, truth, seen
 
@@ -84,12 +85,14 @@ def test_the_source_has_what_the_stations_saw(place):
     ("seen", "said"),
     [
         ("2026-03-01T00:00:00,krina,1,2,3,", "stations.yaml: expected stations krina; received none"),
+        ("2026-03-01T00:00:00,poker,1,2,3,", "stations: poker.event: expected receive, as"),
         ("2026-03-01T00:00:00,unused,1,2,3,", "stations.yaml: unused.noise: expected standard deviations"),
         ("2026-03-01T00:00:00,poker,1,2,3,\n" * 2, "expected range of poker once at each time; received"),
     ],
 )
 def test_stations_that_are_not_known_and_repeated_lines_are_refused(place, tmp_path, seen, said):
     (tmp_path / "seen.csv").write_text(f"{HEAD}\n{seen}")
+    (tmp_path / "seen.yaml").write_text("event: receive" if "event" in said else "event: bounce")
     with pytest.raises(UserError, match=r".") as caught:
         Sightings("mine", str(tmp_path / "seen.csv"), str(place[0] / "stations.yaml"))
     assert said in str(caught.value)
@@ -115,7 +118,7 @@ def test_a_model_learned_from_sightings_predicts_and_follows_the_true_orbit(plac
     words += ["inputs=isotropic", "data=in_time", "budget=smoke", "logger=none", f"run={tmp_path / 'run'}"]
     assert call("ahnn.train", *words) == 0
     numbers = json.loads((tmp_path / "run" / "metrics.json").read_text())
-    assert 0.8 < numbers["measurements"]["chi_square"] < 1.25
+    assert 0.8 < numbers["plugins"]["measurements"]["chi_square"] < 1.4
     assert call("ahnn.evaluate", f"run={tmp_path / 'run'}", "evaluation.figures=false") == 0
     # What the training has not seen: the last quarter of the lines.
     lines = (folder / "seen.csv").read_text().splitlines()

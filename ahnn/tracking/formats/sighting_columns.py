@@ -100,7 +100,7 @@ def roles_of(
     if clock not in CLOCKS:
         place._replace(column=names[time]).refuse(f"a time scale, {', '.join(CLOCKS)}", repr(clock))
     values, deviations = dict[Kind, tuple[int, float]](), dict[Kind, tuple[int, float]]()
-    groups = {kind: group for group, kinds in COLUMNS.items() for kind in kinds}
+    groups: dict[Kind, str] = {kind: group for group, kinds in COLUMNS.items() for kind in kinds}
     for k, (cell, unit) in enumerate(parts):
         kind: Kind | None = next((one for one in KINDS if cell.removeprefix(SD) == one), None)
         if kind is not None:
@@ -112,7 +112,7 @@ def roles_of(
     if not values:
         place.refuse(f"a column of {', '.join(KINDS)}", ", ".join(names))
     sds = {kind: said.deviations.get(groups[kind]) for kind in values}
-    stated = {kind: sd * values[kind][1] for kind, sd in sds.items() if sd is not None}
+    stated: dict[Kind, float] = {kind: sd * values[kind][1] for kind, sd in sds.items() if sd is not None}
     return SightingColumns(time, station, clock, one[2][0] if one[2] else None, values, deviations, stated)
 
 
@@ -136,7 +136,7 @@ def reading_of(cells: list[str], place: Place, roles: SightingColumns) -> Tracki
     for kind, (k, factor) in roles.values.items():
         if cells[k].lower() not in MISSING:
             values[kind] = measured(kind, cells[k], factor, place._replace(column=kind))
-    deviations = {kind: sd for kind, sd in roles.stated.items() if kind in values}
+    deviations: dict[Kind, float] = {kind: sd for kind, sd in roles.stated.items() if kind in values}
     for kind, (k, factor) in roles.deviations.items():
         if cells[k].lower() not in MISSING:
             deviations[kind] = factor * within(cells[k], place._replace(column=SD + kind), 1e-30, 1e30)
