@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextvars import ContextVar
 from pathlib import Path
 
+import torch
 from torch import Tensor
 
 from ahnn.checkpoints import Weights, read_safetensors, write_weights
@@ -51,8 +52,8 @@ class ClosingJournal:
         if path.exists():
             found = read_safetensors(path, "closing stage")
             if found.about == about:
-                return found.state
-        state = compute()
+                return laid_out(found.state)
+        state = laid_out(compute())
         write_weights(path, Weights(state, about))
         return state
 
@@ -62,6 +63,11 @@ class ClosingJournal:
             remove_own(path)
         with contextlib.suppress(OSError):
             self.folder.rmdir()
+
+
+def laid_out(state: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Return copies in one memory layout: products of matrices round by their strides and alignment."""
+    return {name: tensor.clone(memory_format=torch.contiguous_format) for name, tensor in state.items()}
 
 
 def kept(name: str, compute: Callable[[], dict[str, Tensor]]) -> dict[str, Tensor]:
