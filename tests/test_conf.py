@@ -26,7 +26,11 @@ GROUPS = {
     if folder.is_dir() and folder.name != "hydra"
 }
 OPTIONS = [(group, option) for group, options in GROUPS.items() for option in options]
-SWINGS = f"system.path={Path(__file__).parent}/fixtures/swings.csv"
+FIXTURES = Path(__file__).parent / "fixtures"
+SWINGS = f"system.path={FIXTURES}/swings.csv"
+SEEN = [f"system.path={FIXTURES}/seen.csv", f"system.stations={FIXTURES}/stations.yaml"]
+OF_FILES = {"files": [SWINGS], "sightings": SEEN}
+"""What systems of files need."""
 BUILT = ["system", "model", "data", "optimizer", "scheduler", "loss", "integrator", "budget"]
 
 
@@ -80,8 +84,7 @@ def test_every_option_composes_and_its_targets_take_its_keys(tmp_path, group, op
 @pytest.mark.sampled(3)
 def test_every_option_of_the_core_can_be_built(tmp_path, group, option):
     overrides = [f"{group}={option}"]
-    if option == "files":
-        overrides.append(SWINGS)
+    overrides += OF_FILES.get(option, [])
     if group == "integrator":  # compositions need a separable Hamiltonian
         overrides.append("model.hamiltonian=separable")
     if option.startswith(("shooting", "weak")):  # which learn from measurements
@@ -101,8 +104,8 @@ PAIRS = [
 
 @pytest.mark.parametrize(("model", "system"), PAIRS)
 def test_every_model_is_built_for_every_system(tmp_path, model, system):
-    given = [SWINGS] if system == "files" else []
-    data, built = build_parts(composed(tmp_path, f"model={model}", f"system={system}", *given))
+    given = f"model={model}", f"system={system}", *OF_FILES.get(system, [])
+    data, built = build_parts(composed(tmp_path, *given))
     assert built.dof == data.source.space.dof
 
 
