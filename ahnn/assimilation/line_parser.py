@@ -55,18 +55,24 @@ class Layout:
         self.measured = {key for sensor in sensors.values() for key in _keys(sensor)}
         self.known = {*TIME, SENSOR, *controls, *self.measured}
         if objects in self.known:
-            message = f"objects: expected a column beside {', '.join(sorted(self.known))}; received {objects}"
+            message = (
+                f"objects: expected a column other than {', '.join(sorted(self.known))}; received {objects}"
+            )
             raise UserError(message)
         self.known |= {objects} - {""}
         self.foreign = {key: self.measured - _keys(sensor) for key, sensor in sensors.items()}
         if clash := self.measured & {*controls}:
-            message = f"measurements: expected sensors that measure no control; received {', '.join(clash)}"
+            message = (
+                f"measurements: expected sensors that do not measure controls; received {', '.join(clash)}"
+            )
             raise UserError(message)
         self.said: set[tuple[str, str]] = set()
         self.names: list[str] | None = None
         self.scales: dict[str, float] = {}
         if "\r" in first.strip():
-            message = "measurements: expected lines that end with LF; received CR. tr '\\r' '\\n' makes such"
+            message = (
+                "measurements: expected lines that end with LF; received CR. tr '\\r' '\\n' converts them"
+            )
             raise UserError(message)
         if not first.lstrip().startswith("{"):
             self.delimiter = max(",;\t", key=first.count)
@@ -99,7 +105,7 @@ class Layout:
         cell = row.get(self.objects)
         name = "" if is_missing(cell) or isinstance(cell, bool) else str(cell).strip()
         if not name or not isinstance(cell, str | int) or not {*name}.isdisjoint(RESERVED):
-            expected = "the name of an object, without commas and quotes"
+            expected = "an object name without commas or quotes"
             message = f"{self.objects}: expected {expected}; received {str(cell)[:40]!r}"
             raise BadLine(message)
         return name
@@ -148,7 +154,9 @@ class Layout:
         for key in self.foreign[name]:
             if key in row and (name, key) not in self.said and not is_missing(row[key]):
                 self.said.add((name, key))
-                log.warning("measurements: %s is not used in lines of sensor %s, which has none", key, name)
+                log.warning(
+                    "measurements: %s is ignored on lines of sensor %s, which does not measure it", key, name
+                )
 
     def _cells(self, text: str) -> dict[str, Any]:
         assert self.names is not None
@@ -193,7 +201,7 @@ class Layout:
             return name
         if ("", name) not in self.said:
             self.said.add(("", name))
-            log.info("measurements: %s is taken for the control %s", name, ours)
+            log.info("measurements: %s is taken as the control %s", name, ours)
         return ours
 
     def _deviations(
@@ -254,7 +262,7 @@ class Layout:
             return factor(given, units[name])
         except ValueError as error:
             message = (
-                f"measurements: expected {name} in {units[name]}, or a unit that fits it; received {given}"
+                f"measurements: expected {name} in {units[name]}, or a compatible unit; received {given}"
             )
             raise UserError(message) from error
 
@@ -273,6 +281,6 @@ def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Build a JSON object from pairs; raises ValueError for duplicate keys."""
     found = dict(pairs)
     if len(found) < len(pairs):
-        message = "a key twice"
+        message = "a duplicate key"
         raise ValueError(message)
     return found

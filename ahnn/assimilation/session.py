@@ -19,9 +19,9 @@ Watcher = Callable[[int, Reading, Estimate, Counter[str]], None]
 """Callback for every measurement line: line number, reading, estimate, and counts so far."""
 
 WORDS = {
-    "late": "comes later than the window allows, at time {now:g}: not counted",
-    "repeated": "was counted before: not counted again",
-    "ahead": "lies further ahead than a gap may be, from time {now:g}: not counted",
+    "late": "is later than the window allows, at time {now:g}: ignored",
+    "repeated": "was already processed: ignored",
+    "ahead": "is further ahead than the largest gap allowed, from time {now:g}: ignored",
 }
 
 
@@ -76,7 +76,7 @@ class Session(StreamSession):
             log.info("line %d: %s; skipped", number, error)
             return
         except Diverged as error:
-            message = f"line {number}: {error}. Begin again with another start, or more noise"
+            message = f"line {number}: {error}. Start over with another start, or more noise"
             raise TrainingError(message) from error
         self.counts[estimate.outcome] += 1
         if estimate.innovation is None:
@@ -88,9 +88,9 @@ class Session(StreamSession):
             nis, dof = float(estimate.innovation.nis), int(estimate.innovation.measured)
             if estimate.outcome == "rejected":
                 told = number, reading.label, nis, dof
-                log.info("line %d: %s rejected, NIS %.3g of %d numbers", *told)
+                log.info("line %d: %s rejected, NIS %.3g for %d values", *told)
             elif estimate.outcome == "reopened":
-                words = "reopened the gate, which had refused those before it: its covariance was widened"
+                words = "reopened the gate after consecutive rejections; the covariance was enlarged"
                 log.info("line %d: %s %s", number, reading.label, words)
             elif dof:
                 self.nis, self.numbers = self.nis + nis, self.numbers + dof

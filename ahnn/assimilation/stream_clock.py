@@ -43,14 +43,15 @@ class StreamClock(NamedTuple):
             if self.dated and time == time:
                 start = spelled(self.zero or 0, utc=self.system == "UTC")
                 message = (
-                    f"measurements: expected epochs, as the start has its own, {start}; received time "
-                    f"{cell}. Add epoch= of time zero, or time= at which the start holds"
+                    f"measurements: expected epochs, since the start has an epoch, {start}; received time "
+                    f"{cell}. Add epoch= (of time zero), or time= (of the start)"
                 )
                 raise UserError(message)
             return time
         if self.zero is None:
             message = (
-                f"epoch: expected that of time zero, as the measurements have epochs, such as {cell[:40]}; "
+                "epoch: expected the epoch of time zero, since the measurements have epochs, such as "
+                f"{cell[:40]}; "
                 "received none. Add epoch="
             )
             raise UserError(message)

@@ -74,8 +74,8 @@ def build_recorded(options: dict[str, Any], source: Recordings | Observed) -> Re
     drawn = [f"data.{name}={value}" for name, value in options.items() if value not in (None, SENSOR[name])]
     if drawn or not (measured is None or isinstance(measured, str)):
         message = (
-            "data: expected measured=state or position with recorded measurements, onto which nothing is "
-            f"drawn; received {', '.join(drawn) or 'data.measured=' + str(measured)}"
+            "data: expected measured=state or position with recorded measurements, to which nothing is "
+            f"added; received {', '.join(drawn) or 'data.measured=' + str(measured)}"
         )
         raise UserError(message)
     if isinstance(source, Observed):
@@ -85,8 +85,8 @@ def build_recorded(options: dict[str, Any], source: Recordings | Observed) -> Re
     if noise is None or (source.positions_only and measured == "state"):
         known = "positions alone" if source.positions_only else f"data.measured={measured}"
         message = (
-            "data.noise: expected the standard deviations of the recorded measurements, beside "
-            "sensor=recorded, and for positions a known kinetic energy such as hamiltonian=mechanical; "
+            "data.noise: expected the standard deviations of the recorded measurements with "
+            "sensor=recorded, and a known kinetic energy for positions, such as hamiltonian=mechanical; "
             f"received {known}, data.noise={noise}"
         )
         raise UserError(message)
@@ -102,9 +102,9 @@ def build_sighted(options: dict[str, Any], source: Observed) -> Recorded:
     Raises:
         UserError: other measurements.
     """
-    seen = source.measurement
+    seen = source.sensors()
     if options["measured"] is not None:
-        message = f"data.measured: expected null, as stations measured; received {options['measured']}"
+        message = f"data.measured: expected null, since stations measured; received {options['measured']}"
         raise UserError(message)
     biased = seen.bias_sd if any(seen.bias_sd) else None
     options |= {"measured": seen, "noise": options["noise"] or seen.deviations}

@@ -68,19 +68,19 @@ def read_stream(arguments: list[str], usage: str) -> Stream:
 
 
 def require_own_keys(options: AssimilationRequest, nodes: DictConfig) -> None:
-    """Refuse keys without those that they go with, and sensors said twice; raises UserError."""
+    """Raise UserError for keys without those they belong to, and for sensors defined twice."""
     if options.folder is not None:
-        message = f"folder: expected orbit=FILE.yaml beside folder={options.folder}; received a run"
+        message = f"folder: expected orbit=FILE.yaml with folder={options.folder}; received a run"
         raise UserError(message)
     if options.start != "fit" and options.fitted is not None:
-        message = f"fitted: expected start=fit beside fitted={options.fitted}; received another start"
+        message = f"fitted: expected start=fit with fitted={options.fitted}; received another start"
         raise UserError(message)
     for key in ("start_sd", "time", "objects", "controls") if options.start == "fit" else ():
         if (value := getattr(options, key)) is not None:
-            message = f"{key}: expected none beside start=fit; received {value}"
+            message = f"{key}: expected none with start=fit; received {value}"
             raise UserError(message)
     if options.stations is not None and nodes:
-        message = f"stations: expected no sensors beside it; received {', '.join(map(str, nodes))}"
+        message = f"stations: expected no other sensors; received {', '.join(map(str, nodes))}"
         raise UserError(message)
 
 
@@ -149,7 +149,7 @@ def build_sensors(
 
 
 def stations_of_file(file: str, space: Space, clock: StreamClock) -> dict[str, StreamSensor]:
-    """Return the stations of a file as sensors, on an Earth that turns from the epoch of time zero on.
+    """Return the stations of a file as sensors on the rotating Earth, from the epoch of time zero on.
 
     Raises:
         UserError: no such file, or a station that measures nothing.
@@ -227,8 +227,8 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
     def carry(states: Tensor, times: Tensor, covariances: Tensor) -> Tensor:
         if names := control_names(run):
             message = (
-                "start: expected the covariance of its last state, as nobody knows the controls before it, "
-                f"{', '.join(names)}; received that of an earlier one. Add start_sd="
+                "start: expected the covariance of its last state, since the controls before it are "
+                f"unknown, {', '.join(names)}; received that of an earlier one. Add start_sd="
             )
             raise UserError(message)
         predicted = run.predict(states, times, start_covariance=covariances).covariances

@@ -115,7 +115,7 @@ class Reference(NamedTuple):
         """
         body = ours.center or BODY
         if self.center and alias(self.center) != alias(body):
-            remedy = "Convert it" if ours.center else f"frame= or center= names {self.center} if it is right"
+            remedy = "Convert it" if ours.center else f"Set frame= or center= if {self.center} is right"
             message = f"{who}: expected centre {body}, that of the model; received {self.center}. {remedy}"
             raise UserError(message)
         wanted, given = alias(ours.frame), alias(self.frame)
@@ -125,7 +125,7 @@ class Reference(NamedTuple):
             return wanted
         if wanted or given.startswith(ROTATING):
             expected = f"frame {ours.frame}, that of the model" if wanted else "an inertial frame"
-            remedy = "Convert it" if wanted else "frame= names the frame of the model: GCRF, EME2000"
+            remedy = "Convert it" if wanted else "Set frame= to the frame of the model: GCRF, EME2000"
             message = f"{who}: expected {expected}; received {self.frame}. {remedy}"
             raise UserError(message)
         return None

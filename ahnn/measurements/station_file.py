@@ -1,4 +1,4 @@
-"""Any number of ground stations in one YAML file: where they stand, what they see, their noise and biases.
+"""Any number of ground stations in one YAML file: their coordinates, measured kinds, noise and biases.
 
 kiruna:
 latitude: 67.86            # degrees, geodetic
@@ -47,7 +47,7 @@ class StationEntry:
         event: that times tag; None where nothing is said.
         noise: standard deviations by kind, km, degrees and km/s.
         bias: known biases, likewise.
-        bias_sd: to what they are known, likewise.
+        bias_sd: standard deviations of the biases, likewise.
     """
 
     latitude: Degrees
@@ -60,13 +60,13 @@ class StationEntry:
     bias_sd: dict[str, float] = field(default_factory=dict)
 
     def numbers(self, kind: str, other: float = 0.0) -> list[float]:
-        """Return `noise`, `bias` or `bias_sd` of `SEEN`, km, rad and km/s; another number without one."""
+        """Return `noise`, `bias` or `bias_sd` for each of `SEEN`, in km, rad, km/s; `other` where missing."""
         given = getattr(self, kind)
         return [given[name] * FACTORS.get(name, 1.0) if name in given else other for name in SEEN]
 
 
 def read_stations(path: str | Path) -> dict[str, StationEntry]:
-    """Return the stations of a file; raises UserError for what is none, with its place."""
+    """Return the stations of a file; raises UserError for an invalid entry, with its place."""
     return {name: entry_of(value, f"{path}: {name}") for name, value in read_plain(Path(path)).items()}
 
 
@@ -92,7 +92,7 @@ def entry_of(value: Any, who: str) -> StationEntry:
 
 
 class BiasedStation(Differing):
-    """A station of a file with its known biases: what it has a noise of is measured.
+    """A station of a file with its known biases; it measures the kinds that have a noise.
 
     Args:
         entry: of the file.
@@ -143,7 +143,7 @@ class StationsOfFile(Several):
     """The stations of a file, side by side; components have the names of their stations, as `kiruna.range`.
 
     Args:
-        file: of the stations, see `ahnn.measurements.station_file`.
+        file: path of the stations, see `ahnn.measurements.station_file`.
         earth_angle: of the Greenwich meridian from the inertial x axis at t = 0, rad; None is 0.
         mass: of the satellite in kg.
         only: names of those that count; None for all.
@@ -154,7 +154,7 @@ class StationsOfFile(Several):
         bias_sd: those of their biases, 0 for none.
 
     Raises:
-        UserError: no station, or what is none.
+        UserError: no station, or an invalid one.
     """
 
     def __init__(

@@ -92,7 +92,7 @@ class OrbitOfPositions(NamedTuple):
 
 
 def orbit_of_positions(positions: Array, times: Array) -> OrbitOfPositions | None:
-    """Return an orbit of the three of positions (T, 3) that span the most of an arc; None without one."""
+    """Return an orbit through three positions of (T, 3) that span most of an arc; None if there is none."""
     if (chosen := triple(positions)) is None:
         return None
     at, three = times[chosen], positions[chosen]
@@ -104,8 +104,8 @@ def orbit_of_positions(positions: Array, times: Array) -> OrbitOfPositions | Non
 def initial_orbit(model: TrackingModel) -> tuple[Array, float]:
     """Return a state (6,) in GCRF and its time, to begin a fit of measurements with.
 
-    Of ranges beside directions by Gibbs or Herrick and Gibbs, of directions alone by Gauss; of the triples of
-    a station that which spans most of an arc of 60 degrees.
+    By Gibbs or Herrick and Gibbs for ranges with directions, by Gauss for directions only; the chosen
+    triple of a station spans most of an arc of 60 degrees.
 
     Raises:
         UserError: no station has seen enough directions.

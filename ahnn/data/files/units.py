@@ -84,6 +84,6 @@ def factor(theirs: str, ours: str) -> float:
         return 1.0
     a, b = unit(theirs), unit(ours)
     if a.dimension != b.dimension or a.dimension == NONE.dimension:
-        message = f"a unit that fits {ours}"
+        message = f"a unit compatible with {ours}"
         raise ValueError(message)
     return a.size / b.size
