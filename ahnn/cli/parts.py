@@ -102,7 +102,7 @@ def build_sighted(options: dict[str, Any], source: Observed) -> Recorded:
     Raises:
         UserError: other measurements.
     """
-    seen = source.measurement
+    seen = source.sensors()
     if options["measured"] is not None:
         message = f"data.measured: expected null, since stations measured; received {options['measured']}"
         raise UserError(message)

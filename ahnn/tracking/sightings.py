@@ -98,6 +98,10 @@ class Sightings:
         """Return the positions that simultaneous ranges and angles show, NaN elsewhere; momenta are NaN."""
         return self._trajectories
 
+    def sensors(self) -> StationsOfFile:
+        """Return the stations side by side."""
+        return self.measurement
+
     def observations(self) -> Observations:
         """Return the measurements of all stations side by side, (B, T, M), NaN where missing."""
         return self._observations
