@@ -26,7 +26,7 @@ TURNING = {"kind": "elliptic_equator", "mu": 1.0, "radius": 1.0, "angle": 0.3, "
 def dynamics(forces, dof=3):
     torch.manual_seed(1)
     options = {"dof": dof, "inertia": 1.0, "inputs": "cartesian", "scaling": "none", "mu": None}
-    options |= {"network": {"width": 5, "depth": 1, "activation": "tanh"}, "integrator": {"name": "dopri8"}}
+    options |= {"network": {"width": 5, "depth": 1, "activation": "tanh"}, "integrator": {"name": "rk4"}}
     return make_dynamics("hamiltonian", hamiltonian="mechanical", forces=forces, **options).double()
 
 
