@@ -163,9 +163,9 @@ class HamiltonianDynamics(IntegratedField):
     @torch.no_grad()
     def silence(self) -> None:
         """Set the learned potential and learned forces to zero, so that known physics is left."""
-        forced = isinstance(self.field, Forced)
-        silence(self.field.hamiltonian if forced else self.field)
-        for force in self.field.parts if forced else ():
+        field: nn.Module = self.field
+        silence(field.hamiltonian if isinstance(field, Forced) else field)
+        for force in field.parts if isinstance(field, Forced) else ():
             force.silence()
 
     def _as_one(self, x: Tensor, dt: TimeStep) -> tuple[Layers, Scheme] | None:

@@ -137,7 +137,7 @@ class Linearised:
         return self._without_starts(rows.flatten(1).unsqueeze(-1)).squeeze(-1)
 
     def of_parameters(self, forcing: Tensor, part: slice) -> Tensor:
-        """Return the derivative of residuals of some windows, (N, P), from that of the field, (.., W + 1, L, P)."""
+        """Return derivatives of residuals of some windows, (N, P), from those of the field."""
         found = sensitivities(self.jacobians[part], forcing, self.steps.rows(part))[:, :, : self.dof]
         return self._without_starts((found * self.weight[:, None]).flatten(1, 2), part).flatten(0, 1)
 

@@ -71,7 +71,10 @@ def test_the_moon_pulls_a_satellite_with_the_difference_of_two_attractions():
         expected = expected + mu * AU**3 / 86400**2 * pulls
     close(force(instant(t, q)), expected, 1e-7)
     assert bool(force(instant([-4e4, 2e5], q[:2])).isnan().all())
-    at, by = instant(t + 1e3, q), instant(*(torch.randn(*s, generator=generator(1), **DOUBLE) for s in ((5, 2), (5, 2, 3))))
+    at, by = (
+        instant(t + 1e3, q),
+        instant(*(torch.randn(*s, generator=generator(1), **DOUBLE) for s in ((5, 2), (5, 2, 3)))),
+    )
     rows = Instant(*(part.unsqueeze(1) for part in at))
     ahead, back = (force(Instant(*(a + h * b for a, b in zip(rows, by, strict=True)))) for h in (10.0, -10.0))
     close(force.variation(at, by), (ahead - back) / 20, 1e-5)
@@ -174,8 +177,10 @@ def test_an_elliptic_equator_is_the_sectorial_part_of_a_field_in_axes_that_turn(
     ("options", "said"),
     [
         ({"kind": "orbital", "mu": 1.0, "radius": 1.0}, "orbital: expected three coordinates; received 2"),
-        ({"kind": "elliptic_equator", "mu": 1.0, "radius": 1.0, "angle": 0.0, "rate": 1.0, "sine": 1e-6},
-         "both cosine and sine or neither; received 2, None and 1e-06"),
+        (
+            {"kind": "elliptic_equator", "mu": 1.0, "radius": 1.0, "angle": 0.0, "rate": 1.0, "sine": 1e-6},
+            "both cosine and sine or neither; received 2, None and 1e-06",
+        ),
     ],
 )
 def test_forces_about_a_planet_refuse_planes_and_halves_of_a_harmonic(options, said):

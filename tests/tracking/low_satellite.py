@@ -1,4 +1,4 @@
-"""A low satellite in the air, integrated here: `python tests/tracking/low_satellite.py` writes docs/orbits/low.aer."""
+"""A low satellite in the air, integrated here; as a script it writes docs/orbits/low.aer."""
 
 from __future__ import annotations
 

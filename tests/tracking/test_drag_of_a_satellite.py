@@ -14,7 +14,14 @@ from ahnn.tracking.accelerations.atmospheric_drag import atmosphere
 
 @pytest.mark.parametrize(
     ("height", "density"),
-    [(150, 2.076e-9), (200, 2.541e-10), (300, 1.916e-11), (400, 2.803e-12), (500, 5.215e-13), (700, 3.070e-14)],
+    [
+        (150, 2.076e-9),
+        (200, 2.541e-10),
+        (300, 1.916e-11),
+        (400, 2.803e-12),
+        (500, 5.215e-13),
+        (700, 3.070e-14),
+    ],
 )
 def test_air_is_as_dense_as_in_the_standard_atmosphere_within_a_third(height, density):
     """U.S. Standard Atmosphere 1976, tables of density."""

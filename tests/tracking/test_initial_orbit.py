@@ -63,7 +63,7 @@ def test_herrick_and_gibbs_are_exact_to_fourth_order_and_as_published():
 
 
 def gauss_of_two_bodies(apart):
-    """Errors of position and velocity, of directions that are `apart` and 1.3 times so in eccentric anomaly."""
+    """Errors of position and velocity; eccentric anomalies are `apart` and 1.3 times so."""
     sites = np.array([[3489.8, 3430.2, 4078.5], [3460.1, 3460.1, 4078.5], [3429.9, 3490.1, 4078.5]])
     states = [two_bodies(a) for a in (0.9 - apart, 0.9, 0.9 + 1.3 * apart)]
     lines = np.stack([r for r, _, _ in states]) - sites
@@ -82,7 +82,7 @@ def test_gauss_comes_nearer_to_two_bodies_with_the_order_of_its_series():
 
 
 def test_gauss_is_as_published():
-    """Curtis (2014), example 5.11, before improvement: as printed there, and from the digits of its program."""
+    """Curtis (2014), example 5.11, before improvement: its printed digits and those of its program."""
 
     def found(sidereal, ascensions, declinations, times):
         radius, flattening, height, latitude = 6378.0, 0.003353, 1.0, np.radians(40.0)

@@ -13,6 +13,7 @@ from ahnn.errors import UserError
 from ahnn.rollouts import rollout
 from ahnn.training import LevenbergMarquardt, Loss, LossOptions
 from ahnn.training.fitted_starts import APART, FittedStarts
+from ahnn.training.least_squares import LeastSquares
 from ahnn.training.objectives import OBJECTIVES
 from ahnn.types import Window
 
@@ -107,7 +108,8 @@ def test_harmonics_are_found_from_starts_that_are_wrong():
             return problem.residuals(torch.cat((theta[:-2], part)))
 
         rows = problem.jacobian(theta)[:, own]
-        step.step(lambda r=residuals, rows=rows: (type(problem)(r, lambda _: rows), None))
+        own_problem = LeastSquares(residuals, lambda _, rows=rows: rows)
+        step.step(lambda own_problem=own_problem: (own_problem, None))
     found = model.field.forces["equator"].harmonics.detach()
     close(found, torch.tensor([2e-3, -1e-3], **DOUBLE), 0.02)
     assert float(about.validation(model, batch)["loss"]) < 1e-3 * before

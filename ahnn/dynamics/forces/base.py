@@ -59,7 +59,7 @@ class Force(nn.Module, ABC):
             by: variations of the arguments, (B, R, ...). The default uses reverse mode.
         """
         sizes, x = [part.shape[-1] for part in at], torch.cat(at, dim=-1)
-        value, pull = vjp(lambda rows: self(Instant(*rows.split(sizes, dim=-1))), x)
+        value, pull, *_ = vjp(lambda rows: self(Instant(*rows.split(sizes, dim=-1))), x)
         units = torch.eye(value.shape[-1]).to(value).unbind()
         return torch.cat(by, dim=-1) @ torch.stack([pull(one.expand_as(value))[0] for one in units], dim=-1)
 

@@ -45,10 +45,7 @@ class ValidationRollout(Callback):
 
     def seconds(self, epoch: int, trainer: Trainer, module: LightningModule, data: WindowDataModule) -> float:
         """Estimate the time per epoch from a few measured rollout steps."""
-        if (
-            self._silent(data)
-            or ((epoch + 1) % self.every and epoch + 1 != trainer.max_epochs)
-        ):
+        if self._silent(data) or ((epoch + 1) % self.every and epoch + 1 != trainer.max_epochs):
             return 0.0
         if self._measured is None:
             flow, whole = _flow(module), data.trajectories("val").part(slice(self.count))
