@@ -1,10 +1,14 @@
 """Learning Hamiltonian dynamics from data, and assimilating measurements with the learned model.
 
-    run = ahnn.load("molniya_mechanical")             # a run folder, or the name of a model shipped with the
-    package run.rollout(start, steps=1440), run.energy(x), run.results
+    run = ahnn.load("molniya_mechanical")     # a run folder, or the name of a model shipped with the package
+    run.rollout(start, steps=1440), run.energy(x), run.plot(), run.results
 
-    data = ahnn.Trajectories(states, times)           # (B, T, 2n) and (B, T), NaN marks missing samples run =
-    ahnn.fit(data, ahnn.Space("cart", ("q", "p")), ["model=hnn"], folder="runs/cart")
+    data = ahnn.Trajectories(states, times)   # (B, T, 2n) and (B, T), NaN marks missing samples
+    space = ahnn.Space("cart", ("q", "p"))
+    run = ahnn.fit(data, space, ["model=hnn"], folder="runs/cart")
+
+    model = ahnn.Hamiltonian(dof=1, hidden=64, data=data)   # a torch module, for a loop of your own
+    run = ahnn.save(model, space, dt=0.1, folder="runs/mine")
 
 `python -m ahnn` lists the commands.
 """
@@ -36,12 +40,18 @@ if TYPE_CHECKING:
     from ahnn.fitting import fit
     from ahnn.loading import load
     from ahnn.runs import Run
+    from ahnn.saving import save
     from ahnn.types import Space, Trajectories, Units
+    from ahnn.untrained import FlowMap, Hamiltonian, Lagrangian, NeuralODE
 
 __version__ = "0.2.0"
 
 HOMES = {
     "Assimilation": "assimilation",
+    "FlowMap": "untrained",
+    "Hamiltonian": "untrained",
+    "Lagrangian": "untrained",
+    "NeuralODE": "untrained",
     "Run": "runs",
     "Space": "types",
     "TrainingError": "errors",
@@ -50,11 +60,16 @@ HOMES = {
     "UserError": "errors",
     "fit": "fitting",
     "load": "loading",
+    "save": "saving",
 }
 """Module of each public name; modules are imported on first use."""
 
 __all__ = [
     "Assimilation",
+    "FlowMap",
+    "Hamiltonian",
+    "Lagrangian",
+    "NeuralODE",
     "Run",
     "Space",
     "TrainingError",
@@ -64,6 +79,7 @@ __all__ = [
     "__version__",
     "fit",
     "load",
+    "save",
 ]
 
 

@@ -10,19 +10,20 @@ COMMANDS = f"""ahnn {__version__}: learn Hamiltonian dynamics, and assimilate me
 
   python -m ahnn.train       train a model and evaluate it              --help
   python -m ahnn.evaluate    evaluate a finished run again              --help
-  python -m ahnn.predict     states to come, with their bands           --help
-  python -m ahnn.export      a trained model for other programs         --help
-  python -m ahnn.reproduce   the tables of the paper                    --help
-  python -m ahnn.benchmark   tasks of the field, published scores beside  --help
-  python -m ahnn.calibrate   are bands right over many draws?             --help
-  python -m ahnn.data check  look data over before they are learned     --help
-  python -m ahnn.orbit       an orbit from what stations measured       --help
+  python -m ahnn.predict     predict states, with uncertainty bands     --help
+  python -m ahnn.plan        choose the measurements worth taking       --help
+  python -m ahnn.export      export a trained model to other programs   --help
+  python -m ahnn.reproduce   reproduce the tables of the paper          --help
+  python -m ahnn.benchmark   compare with published benchmark scores    --help
+  python -m ahnn.calibrate   check uncertainty bands over many draws    --help
+  python -m ahnn.data check  check data before training                 --help
+  python -m ahnn.orbit       determine an orbit from tracking data      --help
   python -m ahnn.assimilate  filter a stream of measurements online     --help
-  python -m ahnn.report      runs in one HTML file, with figures        --help
+  python -m ahnn.report      summarise runs in one HTML file            --help
   tensorboard --logdir runs  curves, scores and figures of all runs
 
-In Python: ahnn.load(RUN), ahnn.fit(TRAJECTORIES, SPACE); help(ahnn) says more.
-Trained models that come with the package:
+In Python: ahnn.load(RUN), ahnn.fit(TRAJECTORIES, SPACE); see help(ahnn).
+Trained models shipped with the package:
   """
 
 

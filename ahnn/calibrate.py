@@ -1,12 +1,12 @@
-"""Are bands right over many draws? `python -m ahnn.calibrate experiment=spring_noisy draws=20`.
+"""Check uncertainty bands over many draws: `python -m ahnn.calibrate experiment=spring_noisy draws=20`.
 
 KEY=VALUE           as for ahnn.train; the data must be measurements of a system
-draws=20            of constants, starts, noise and weights, each with a training of its own
+draws=20            number of draws of constants, starts, noise and weights, each with its own training
 spread=0.1          standard deviation of the logarithms of the system's constants; 0 keeps them
-jobs=1              trainings side by side
-output=FOLDER       runs/calibration without it: a run folder and a score for each draw, and calibration.png
+jobs=1              number of parallel trainings
+output=FOLDER       default runs/calibration: a run folder and a score for each draw, and calibration.png
 
-What is finished is kept: the same command goes on where it was stopped, and shows all draws.
+Finished draws are kept: repeat the command to resume, and to print the complete table.
 """
 
 from __future__ import annotations

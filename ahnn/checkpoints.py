@@ -39,15 +39,16 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:  # torch's own message explains how to execute the content
         message = (
-            f"checkpoint {path}: expected tensors and plain values; received objects that only executing the "
-            "file would restore, which ahnn never does. Train again, or take a checkpoint written by ahnn"
+            f"checkpoint {path}: expected tensors and plain values; received objects that only code in "
+            "the file could restore, which ahnn never executes. Train again, or use a checkpoint "
+            "written by ahnn"
         )
         raise UserError(message) from error
     except Exception as error:  # torch and zipfile raise many types for a damaged file
         reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
         message = (
             f"checkpoint {path}: expected an intact checkpoint of ahnn; received a damaged file ({reason}). "
-            "Take another one, or train again"
+            "Use another one, or train again"
         )
         raise UserError(message) from error
     if not (
@@ -59,6 +60,12 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         message = f"checkpoint {path}: expected a checkpoint written by ahnn; received something else"
         raise UserError(message)
     return content
+
+
+def as_stored(state: dict[str, Tensor], path: Path) -> dict[str, Tensor]:
+    """Return weights as `replace_weights` stores and a run loads them: rounded, in their own dtype."""
+    own = read_checkpoint(path)["state_dict"]
+    return {key: value.to(own[f"dynamics.{key}"]).to(value) for key, value in state.items()}
 
 
 def replace_weights(path: Path, state: dict[str, Tensor], about: dict[str, Any]) -> None:
@@ -177,7 +184,7 @@ def read_safetensors(path: Path, who: str) -> Weights:
             raise ValueError(message)  # noqa: TRY301 - one message for every kind of damage
         about = json.loads(text)
         if not isinstance(about, dict):
-            message = f"{str(about)[:40]!r} in place of what they are"
+            message = f"{str(about)[:40]!r} instead of a description"
             raise TypeError(message)  # noqa: TRY301
     except (SafetensorError, OSError, ValueError, TypeError, RecursionError) as error:
         message = f"{who} {path}: expected an intact safetensors file; received a damaged one ({error})"

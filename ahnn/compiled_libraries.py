@@ -72,7 +72,7 @@ def compiled_library(
             function.argtypes, function.restype = arguments, NUMBER
     except (OSError, ValueError, AttributeError, subprocess.SubprocessError) as error:
         said = getattr(error, "stderr", None) or error
-        message = f"ahnn: {whose} goes on without its C library, slower; {told or 'cc'} said: {said}"
+        message = f"ahnn: {whose} continues without its C library, more slowly; {told or 'cc'} said: {said}"
         warnings.warn(message, stacklevel=3)
         return None
     return found

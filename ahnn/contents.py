@@ -31,11 +31,11 @@ def require_regular(path: Path) -> None:
     try:
         mode = path.stat().st_mode
     except ValueError as error:  # for example a NUL character
-        raise OSError(errno.EINVAL, "no path of a file", str(path)) from error
+        raise OSError(errno.EINVAL, "not the path of a file", str(path)) from error
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if not stat.S_ISREG(mode):
-        raise OSError(errno.EINVAL, "a pipe, a socket or a device in place of a file", str(path))
+        raise OSError(errno.EINVAL, "a pipe, socket or device instead of a file", str(path))
 
 
 def read_whole(path: Path, most: int = LARGEST) -> bytes:
@@ -82,7 +82,8 @@ def _keys(path: Path, expected: str, parse: Any, most: int) -> dict[str, Any]:
         message = f"{path}: expected {expected}; received a damaged file: {' '.join(str(error).split())}"
         raise UserError(message) from error
     if not isinstance(content, dict) or not _is_plain(content):
-        what = repr(content)[:40] if not isinstance(content, dict) else "keys that are no texts, or too deep"
+        what = repr(content)[:40] if not isinstance(content, dict) else "keys that are not strings, or "
+        "nested too deeply"
         message = f"{path}: expected {expected}, keys with plain values; received {what}"
         raise UserError(message)
     return content

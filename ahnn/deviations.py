@@ -23,7 +23,8 @@ def require_squares(deviations: Tensor, who: str) -> Tensor:
     held = squares.isfinite() & (squares >= torch.finfo(torch.float64).tiny)
     if not bool(held.all()):
         message = (
-            f"{who}: expected standard deviations whose squares float64 holds, from 1e-150 to 1e+150; "
+            f"{who}: expected standard deviations whose squares are representable in float64, from "
+            "1e-150 to 1e+150; "
             f"received {deviations.tolist()}"
         )
         raise UserError(message)

@@ -118,7 +118,9 @@ def claimed(folder: Path, name: str = ".claim") -> Iterator[None]:
     """
     place = folder / name
     if place.is_symlink() or (place.exists() and (not place.is_file() or place.stat().st_size)):
-        message = f"{place}: expected no file of that name, or an empty one; received another. Move it"
+        message = (
+            f"{place}: expected no file of that name, or an empty one; received one with content. Move it"
+        )
         raise UserError(message)
     lock = FileLock(place, timeout=0)
     try:
@@ -128,7 +130,7 @@ def claimed(folder: Path, name: str = ".claim") -> Iterator[None]:
             finally:
                 place.unlink(missing_ok=True)
     except Timeout as error:
-        message = f"folder {folder}: expected one of its own; received one that another process writes into"
+        message = f"folder {folder}: expected one that no other process uses; received one in use"
         raise Occupied(message) from error
 
 
@@ -143,7 +145,7 @@ def require_writable(folder: Path) -> None:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        message = f"folder {folder}: expected a place that can be written; received: {error.strerror}"
+        message = f"folder {folder}: expected a writable place; received: {error.strerror}"
         raise UserError(message) from error
 
 

@@ -75,7 +75,7 @@ def check_given(overrides: Sequence[str], folder: str | Path) -> list[str]:
         [*overrides] if isinstance(overrides, Iterable) and not isinstance(overrides, str) else [None]
     )
     if not all(isinstance(text, str) for text in texts):
-        message = f"overrides: expected a list of texts such as ['model=hnn']; received {overrides!r}"
+        message = f"overrides: expected a list of strings such as ['model=hnn']; received {overrides!r}"
         raise UserError(message)
     if not isinstance(folder, str | Path) or str(folder) in ("", ".") or "\0" in str(folder):
         message = f"folder: expected the path of a new folder; received {folder!r}"

@@ -12,7 +12,7 @@ KILOGRAMS = {"m": "kg m/s", "rad": "kg m²/s"}
 def quantity(space: Space, name: str) -> tuple[str, str]:
     """Return the label and unit of `position`, `velocity` or `energy`.
 
-    Momenta that are not mass times velocity are shown in place of velocities. Where only some coordinates are
+    Momenta that are not mass times velocity are shown instead of velocities. Where only some coordinates are
     angles, both units are named.
     """
     if name != "energy" and len(kinds := [*dict.fromkeys(space.angular)]) > 1:
@@ -29,9 +29,9 @@ def headed(space: Space, name: str) -> str:
 
 
 def components(space: Space) -> list[str]:
-    """Return the names of the components with their units, as converted by `Space.divisor`."""
-    scale = "" if space.divisor == 1.0 else " / m"
-    names = [*space.components[: space.dof], *(name + scale for name in space.components[space.dof :])]
+    """Return the names of the components with their units, as converted by `Space.scales`."""
+    scales = zip(space.components, space.scales.tolist(), strict=True)
+    names = [name if scale == 1.0 else f"{name} / m" for name, scale in scales]
     found = []
     for k, name in enumerate(names):
         alike = of_coordinates(space, angle=space.angular[k % space.dof])
@@ -63,7 +63,7 @@ def require_velocities(space: Space, who: str) -> None:
     """Raise UserError for reading or writing velocities where momenta are not mass times velocity."""
     if not space.mechanical:
         message = (
-            f"{who}: expected momenta that are mass times velocity; received {space.name}, whose are not. "
-            "Use a table"
+            f"{who}: expected momenta equal to mass times velocity; received {space.name}, whose momenta "
+            "are not. Use a table"
         )
         raise UserError(message)

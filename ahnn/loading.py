@@ -84,7 +84,7 @@ def require_last(folder: Path, about: dict[str, Any]) -> None:
             "none. ckpt=last takes the last weights"
         )
         raise UserError(message)
-    log.warning("run %s: no validation chose the best weights; the last ones are taken", folder)
+    log.warning("run %s: no validation chose the best weights; the last ones are used", folder)
 
 
 def made(weights: Weights, folder: Path) -> Run:
@@ -101,7 +101,7 @@ def made(weights: Weights, folder: Path) -> Run:
         domain = domain_of(weights.about, len(space.components))
     except Exception as error:  # third-party classes may raise anything for invalid arguments
         reason = error if isinstance(error, UserError) else repr(error)
-        message = f"run {folder}: expected weights that say what they are; received: {reason}"
+        message = f"run {folder}: expected weights with a description; received: {reason}"
         raise UserError(message) from error
     try:
         dynamics.double().load_state_dict(weights.state)

@@ -86,8 +86,8 @@ def require_own(paths: Iterable[Path], who: str) -> None:
         if os.path.lexists(path) and not is_own(path):
             what = "a link" if path.is_symlink() else "a folder" if path.is_dir() else "a file"
             message = (
-                f"{who}: expected a new file, or one that ahnn wrote and nobody changed; received {path}, "
-                f"{what} of somebody else. Move it, or name another place"
+                f"{who}: expected a new file, or an unchanged one written by ahnn; received {path}, "
+                f"{what} that is neither. Move it, or choose another place"
             )
             raise UserError(message)
 
@@ -128,10 +128,10 @@ def require_folder(folder: Path, who: str, files: Iterable[Path] = (), inner: It
 
 
 def require_plain(folder: Path) -> None:
-    """Raise UserError for a link or a file in place of a folder whose name we choose."""
+    """Raise UserError for a link or a file where we need a folder of that name."""
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
         what = "link" if folder.is_symlink() else "file"
-        message = f"folder {folder}: expected a folder; received a {what} of somebody else. Move it"
+        message = f"folder {folder}: expected a folder; received a {what} that ahnn did not write. Move it"
         raise UserError(message)
 
 

@@ -71,7 +71,7 @@ def _numbers(path: Path) -> dict[str, int]:
     return {name: int(value) for name, value, *_ in rows}
 
 
-def require_memory(who: str, what: str, size: float, remedy: str = "Ask for less") -> None:
+def require_memory(who: str, what: str, size: float, remedy: str = "Reduce it") -> None:
     """Compare an estimate in bytes with the available memory.
 
     Args:
@@ -85,7 +85,7 @@ def require_memory(who: str, what: str, size: float, remedy: str = "Ask for less
     """
     if size > (left := available()):
         message = (
-            f"{who}: expected {what} that fit into the {left / 1e9:.3g} GB of memory that are left; received "
+            f"{who}: expected {what} that fit in {left / 1e9:.3g} GB of available memory; received "
             f"{size / 1e9:.3g} GB. {remedy}"
         )
         raise UserError(message)
@@ -107,7 +107,7 @@ def require_disk(who: str, what: str, size: float, folder: Path) -> None:
     free = shutil.disk_usage(there).free
     if size > free:
         message = (
-            f"{who}: expected {what} that fit into {free / 1e9:.0f} GB, free at {folder}; received "
-            f"{size / 1e9:.3g} GB. Ask for less, or choose another disk with AHNN_CACHE"
+            f"{who}: expected {what} that fit in the {free / 1e9:.0f} GB free at {folder}; received "
+            f"{size / 1e9:.3g} GB. Reduce it, or choose another disk with AHNN_CACHE"
         )
         raise UserError(message)

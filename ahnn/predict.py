@@ -5,8 +5,8 @@ pretrained=NAME     a model shipped with the package
 ckpt=best           the weights: best, last, or a path
 start=FILE          first sample of each trajectory in a file (docs/data.md), an element set, or output
                     of an assimilation; or numbers in the model's units: [0.5,0], [[0.5,0],[0.7,0]]
-start_sd=[..]       its standard deviations, one for each component (of one degree of freedom q and p), or
-                    [position,velocity]; else the covariance in FILE, and exact without either
+start_sd=[..]       standard deviations of the start, one per component (q and p for one degree of freedom)
+                    or [position,velocity]; default: the covariance in FILE, or none
 controls=FILE       for a model with controls: a table of time and controls, or constants
 duration=1d         duration with a unit, or a number in the model's unit of time
 step=90min          interval of predicted states; default: that of the training

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import torch
 from torch import Tensor
@@ -53,10 +54,16 @@ def rollout(
         raise UserError(message)
     own = clock.first(count) if count and clock is not None else None
     with torch.set_grad_enabled(gradients):
-        return _rolled(flow, start, dt, samples, description, longest, own)
+        states = _steps(flow, start, dt, samples, description, longest, own)
+        if gradients:  # rows written in place would each copy the whole gradient on the way back
+            return torch.stack(list(states), dim=1)
+        out = start.new_empty(start.shape[0], samples, start.shape[1])
+        for k, x in enumerate(states):
+            out[:, k] = x
+        return out
 
 
-def _rolled(
+def _steps(
     flow: Flow,
     start: Tensor,
     dt: TimeStep,
@@ -64,16 +71,14 @@ def _rolled(
     description: str | None,
     longest: float,
     clock: Clock | None,
-) -> Tensor:
-    out = start.new_empty(start.shape[0], samples, start.shape[1])
-    out[:, 0] = x = start
+) -> Iterator[Tensor]:
+    yield (x := start)
     steps = range(1, samples)
     for k in track(steps, description, len(steps)) if description else steps:
         step = dt[:, k - 1] if isinstance(dt, Tensor) else dt
         parts = substeps(step, longest) if longest < math.inf else 1
         x = stepped(flow, x, step, None if clock is None else clock.at(k - 1), parts)
-        out[:, k] = x
-    return out
+        yield x
 
 
 def stepped(flow: Flow, x: Tensor, dt: TimeStep, clock: Clock | None = None, parts: int = 1) -> Tensor:

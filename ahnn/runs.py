@@ -5,7 +5,9 @@ states = ahnn.load("molniya_mechanical").rollout(start, steps=1440)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import copy
+import html
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -26,19 +28,24 @@ from ahnn.prediction.arguments import (
     starts_of,
     states_of,
 )
-from ahnn.prediction.propagation import Knowledge, Prediction, predicted, require_times
+from ahnn.prediction.followed_path import Knowledge
+from ahnn.prediction.propagation import Prediction, predicted, require_times
 from ahnn.rollouts import rollout
 from ahnn.types import Space
 from ahnn.uncertainty import Domain, Uncertainty, learned_constants, rollout_covariances
 from ahnn.uncertainty.posterior import FILE
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from ahnn.evaluation.results import Results
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Run:
     """Learned dynamics with the description of their state space.
+
+    Runs are copied and pickled as any object. Notebooks show the table of scores.
 
     Attributes:
         dynamics: the flow, a float64 module without gradients: `run.dynamics(x, dt)`.
@@ -58,6 +65,30 @@ class Run:
     folder: Path
     domain: Domain | None = None
     uncertainty: Uncertainty | None = None
+
+    def __repr__(self) -> str:
+        count = sum(p.numel() for p in self.dynamics.parameters())
+        step = f"dt={self.dt:g} {self.space.units.time}".removesuffix(" 1")
+        what = f"{self.space.name}: {self.dynamics.assumes}; {count} parameters, {step}"
+        return f"Run({what}, folder={str(self.folder)!r})"
+
+    def _repr_html_(self) -> str:
+        scored = (self.folder / "metrics.json").is_file()
+        scores = self.results._repr_html_() if scored else "<p>no scores</p>"  # pyright: ignore[reportPrivateUsage]
+        return f"<p><code>{html.escape(repr(self))}</code></p>{scores}"
+
+    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Run:
+        """Return the run on a device and with parameters of a type; this one stays as it is.
+
+        `flow`, `energy` and `rollout` compute in this type; `predict`, `band` and `novelty` always in
+        float64, which the device must support.
+        """
+        return replace(
+            self,
+            dynamics=copy.deepcopy(self.dynamics).to(device=device, dtype=dtype),
+            domain=self.domain and self.domain._replace(states=self.domain.states.to(device)),
+            uncertainty=self.uncertainty and self.uncertainty.to(device),
+        )
 
     @property
     def trained(self) -> Dynamics:
@@ -87,9 +118,7 @@ class Run:
             UserError: the model has no Hamiltonian.
         """
         if not isinstance(self.dynamics, HasEnergy):
-            message = (
-                f"energy: expected a model with a Hamiltonian; received one with {self.dynamics.assumes}"
-            )
+            message = f"energy: expected a Hamiltonian; received a model with {self.dynamics.assumes}"
             raise UserError(message)
         return cast(HasEnergy, self.dynamics).energy(states_of(x, "x", self.dynamics, self.space))
 
@@ -118,8 +147,7 @@ class Run:
         """
         dt = self.dt if dt is None else dt
         x, steps, lengths = paths_of(start, steps, dt, self.dynamics, self.space)
-        given = (x, *self.dynamics.parameters(), *([lengths] if isinstance(lengths, Tensor) else []))
-        gradients = torch.is_grad_enabled() and any(tensor.requires_grad for tensor in given)
+        gradients = self._asked(x, lengths)
         clock = clock_along(self.dynamics, lengths, steps, start_time, controls, len(x))
         return rollout(self.dynamics, x, lengths, steps + 1, gradients=gradients, clock=clock)
 
@@ -149,18 +177,13 @@ class Run:
     def novelty(self, x: Numbers) -> Tensor:
         """Return the distance of states x, shape (..., 2n), from the training states, shape (...).
 
-        The distance is measured in the networks' input space and scaled so that one training state in a
-        hundred is
-        farther than 1 from the representative states.
+        Distances are of network inputs, scaled so that one training state in a hundred is beyond 1.
 
         Raises:
             UserError: the weights contain no representative training states.
         """
         if self.domain is None:
-            message = (
-                "novelty: expected weights that say where their training data were; received those of an "
-                "earlier version. Train again"
-            )
+            message = "novelty: expected weights with their training domain; received old ones. Train again"
             raise UserError(message)
         return self.domain.novelty(self._exact, states_of(x, "x", self.dynamics, self.space).double())
 
@@ -177,6 +200,9 @@ class Run:
     ) -> Prediction:
         """Return predicted states at given times, with covariance and novelty where available.
 
+        Gradients of the states flow to the start and the parameters that require them; covariance and
+        novelty have none.
+
         Args:
             start: (B, 2n) or (2n,) states at the first of the times, in the units of the space.
             times: (T,) increasing, in its unit of time; internal steps are at most the training step.
@@ -192,17 +218,52 @@ class Run:
             UserError: invalid starts, times or controls, or a damaged covariance file.
         """
         x = starts_of(start, self.dynamics, self.space)
-        spread = None if self.uncertainty is None else self.uncertainty.spread
-        known = Knowledge(spread, self.domain)
         if start_sd is not None:
             start_covariance = state_deviations(start_sd, self.space, "start_sd").square().diag()
-        if start_covariance is not None:
-            factor = covariance_factor(start_covariance, x.shape[-1], "start_covariance")
-            known = known._replace(start=factor)
-        times = as_float64(times, "times")
+        known = self.knowledge(start_covariance)
+        times = as_float64(times, "times", x.device).detach()
         require_times(times)
         clock = clock_of_samples(self.dynamics, times, controls, len(x), linear=linear)
-        return predicted(self._exact, x.double(), times, self.dt, known, description, clock)
+        found = predicted(self._exact, x.double(), times, self.dt, known, description, clock)
+        if self._asked(x):
+            each = times.diff().expand(len(x), -1)
+            path = rollout(self.dynamics, x, each, len(times), longest=self.dt, gradients=True, clock=clock)
+            found = found._replace(states=path.double())
+        return found
+
+    def plot(self, start: Numbers | None = None, times: Numbers | None = None, **options: Any) -> Figure:
+        """Plot one predicted trajectory, with its band and novelty where known, as a matplotlib figure.
+
+        Args:
+            start: (2n,) state at the first of the times; by default a training state.
+            times: (T,) increasing; by default 300 sampling intervals.
+            options: further arguments of `predict`.
+
+        Raises:
+            UserError: as for `predict`, several starts, or no start where training states are unknown.
+        """
+        from ahnn.prediction.figure import PLOTTED, prediction_figure
+
+        start = self.domain.states[0] if start is None and self.domain else start
+        if start is None or len(starts_of(start, self.dynamics, self.space)) != 1:
+            message = "start: expected one state of the space; received none or several"
+            raise UserError(message)
+        with torch.no_grad():
+            times = self.dt * torch.arange(PLOTTED + 1) if times is None else times
+            found = self.predict(start, times, **options)
+        return prediction_figure(found, self.space, f"{self.space.name}: {self.dynamics.assumes}")
+
+    def knowledge(self, start_covariance: Numbers | None = None) -> Knowledge:
+        """Return the uncertainty of the parameters, and of starts with a covariance (2n, 2n) or (B, 2n, 2n).
+
+        Raises:
+            UserError: an invalid covariance, or a damaged file of that of the parameters.
+        """
+        known = Knowledge(self.uncertainty and self.uncertainty.spread, self.domain)
+        if start_covariance is None:
+            return known
+        factor = covariance_factor(start_covariance, 2 * self.space.dof, "start_covariance")
+        return known._replace(start=factor)
 
     @property
     def constants(self) -> dict[str, tuple[float, float]]:
@@ -210,8 +271,7 @@ class Run:
 
         The deviation is NaN where the parameter covariance is unknown.
         """
-        spread = None if self.uncertainty is None else self.uncertainty.spread
-        found = learned_constants(self._exact, spread)
+        found = learned_constants(self._exact, self.knowledge().spread)
         return {one.name: (one.value, one.deviation) for one in found}
 
     @cached_property
@@ -226,8 +286,13 @@ class Run:
 
         return load_results(self.folder)
 
+    def _asked(self, *given: Tensor | float) -> bool:
+        """Return whether a start, a step or a parameter requires gradients."""
+        tensors = (one for one in (*given, *self.dynamics.parameters()) if isinstance(one, Tensor))
+        return torch.is_grad_enabled() and any(one.requires_grad for one in tensors)
+
     @property
     def _exact(self) -> Dynamics:
         """The dynamics in float64, also after a cast by the user."""
-        doubles = all(p.dtype == torch.float64 for p in self.dynamics.parameters())
-        return self.dynamics if doubles else self.dynamics.frozen()
+        narrow = any(p.dtype != torch.float64 for p in self.dynamics.parameters())
+        return self.dynamics.frozen() if narrow else self.dynamics

@@ -85,7 +85,7 @@ def read(who: str, schema: type[T], content: Any) -> T:
         UserError: not a mapping, or a field that is missing, of the wrong type or outside its limits.
     """
     if not isinstance(content, Mapping):
-        message = f"{who}: expected keys with values; received {str(content)[:40]!r}"
+        message = f"{who}: expected a mapping of keys to values; received {str(content)[:40]!r}"
         raise UserError(message)
     own = {field.name: content[field.name] for field in fields(schema) if field.name in content}  # pyright: ignore[reportArgumentType]
     check_arguments(who, schema, own)
@@ -108,7 +108,10 @@ def read_about(who: str, content: Any) -> tuple[About, Space]:
         message = f"{who}.space.components: expected {2 * dof} different names; received {str(names)[:200]}"
         raise UserError(message)
     if len({*names, *said.controls, ""}) <= len(names) + len(said.controls):
-        message = f"{who}.space.controls: expected names of their own; received {str(said.controls)[:200]}"
+        message = (
+            f"{who}.space.controls: expected different names from components; received "
+            f"{str(said.controls)[:200]}"
+        )
         raise UserError(message)
     if about.dynamics.get("inertia", said.inertia) != said.inertia:
         message = f"{who}.dynamics.inertia: expected {said.inertia}, as in space; received {made.inertia}"

@@ -12,7 +12,7 @@ A state is x = [q, p] along the last axis, shape (..., 2n), in the physical unit
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -59,6 +59,13 @@ class Flow(Protocol):
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Propagate states x, shape (B, D), over dt; return (B, D)."""
         ...
+
+
+def in_short(values: tuple[Any, ...]) -> str:
+    """Return one line for a named tuple, with shapes in place of tensors."""
+    fields = zip(values._fields, values, strict=True)  # pyright: ignore[reportAttributeAccessIssue]
+    parts = (f"{name}={tuple(v.shape) if isinstance(v, Tensor) else v!r}" for name, v in fields)
+    return f"{type(values).__name__}({', '.join(parts)})"
 
 
 class Units(NamedTuple):
@@ -158,6 +165,9 @@ class Trajectories(NamedTuple):
     times: Tensor
     controls: Tensor | None = None
     linear: bool = False
+
+    def __repr__(self) -> str:
+        return in_short(self)
 
     def clock(self, count: int) -> Clock | None:
         """Return the first k = `count` clock coordinates of all samples, (B, T, k); None for k = 0."""

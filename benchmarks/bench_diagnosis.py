@@ -29,10 +29,10 @@ SYSTEMS: dict[str, tuple[System, str]] = {
     "Hénon-Heiles": (HenonHeiles(name="henon_heiles", dt=0.05, steps=400), ""),
 }
 SAID = {
-    "follows from the state": "dynamics",
+    "depends on the state": "dynamics",
     "coloured": "colour",
     "biased": "bias",
-    "bias of its own": "biases",
+    "its own bias": "biases",
     "outliers": "tails",
     "times too": "size",
 }
@@ -98,7 +98,7 @@ def said(kind: str, seed: int) -> str:
     text = remedy(dynamics, segment, "none")
     found = [(text.index(words), word) for words, word in SAID.items() if words in text]
     word = min(found)[1] if found else "nothing"
-    return "dynamics" if "follows from the state" in text else word
+    return "dynamics" if "depends on the state" in text else word
 
 
 def main() -> None:

@@ -281,7 +281,7 @@ def lorenz_field(x: Tensor) -> Tensor:
 
 
 def lorenz() -> Scenario:
-    """Lorenz-63, x once in a unit of time, in which errors grow by a factor of 2.5."""
+    """Lorenz-63, x once per unit of time, in which errors grow by a factor of 2.5."""
     flow = Stepped(lorenz_field, 8)
 
     def starts(count: int, generator: torch.Generator) -> Tensor:

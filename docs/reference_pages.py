@@ -39,7 +39,7 @@ ROOMS = {
 """Rooms with public names, in the order of the navigation, and what they hold."""
 COMMANDS = (
     *("train", "evaluate", "predict", "assimilate", "orbit", "data"),
-    *("export", "report", "reproduce", "benchmark"),
+    *("plan", "export", "report", "reproduce", "benchmark", "calibrate"),
 )
 
 

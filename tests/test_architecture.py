@@ -85,9 +85,11 @@ MAY_IMPORT = {
     "pretrained": OPEN | {"checkpoints"},
     "runs": GROUND | {"dynamics", "evaluation", "prediction", "uncertainty"},
     "loading": GROUND | {"dynamics", "pretrained", "runs", "uncertainty"},
+    "saving": GROUND | {"data", "dynamics", "loading", "runs", "uncertainty"},
+    "untrained": GROUND | {"data", "dynamics"},
     "jobs": GROUND
     | {"assimilation", "data", "dynamics", "evaluation", "graphs", "models", "prediction", "pretrained"}
-    | {"estimation", "loading", "runs", "shooting", "tracking", "training", "uncertainty"},
+    | {"estimation", "loading", "runs", "shooting", "systems", "tracking", "training", "uncertainty"},
 }
 ENTRIES = {
     "train",
@@ -99,6 +101,7 @@ ENTRIES = {
     "reproduce",
     "benchmark",
     "calibrate",
+    "plan",
     "orbit",
     "fitting",
     "cli",
@@ -108,7 +111,7 @@ ENTRIES = {
 """The doors of the house: they may import every room, and no room imports them."""
 DOORS = [
     *("train", "evaluate", "predict", "export", "assimilate", "report", "reproduce", "benchmark", "orbit"),
-    "calibrate",
+    *("calibrate", "plan"),
     "data/__main__",
 ]
 """What users call: a command line goes in, `cli` makes values of it, and `jobs` does what they say."""

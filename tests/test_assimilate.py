@@ -60,7 +60,7 @@ def test_fixes_become_estimates_figures_and_an_ephemeris(capsys, caplog):
     assert len({*Path("pictures").glob("*.png")}) == 3
     before = Path("out.csv").read_bytes()
     assert assimilate(*FIXES, *made, "plugins.ukf.gate=0.9999") == 0
-    assert "going on behind line 41" in caplog.messages
+    assert "resuming after line 41" in caplog.messages
     assert Path("out.csv").read_bytes() == before
 
 
@@ -107,10 +107,10 @@ MISTAKES = {
     "measurements=fixes.csv measurement.sd=[1,2]": "measurement.sd: expected a standard deviation > 0",
     "measurements=fixes.csv measurement=ground_station": "expected a header with time and range, az",
     "measurements=fixes.csv measurement=ground_station measurement.model.mass=2": "expected mass=1",
-    "measurements=fixes.csv plugins.ukf.bias_sd=1": "say it: measurement.bias_sd",
+    "measurements=fixes.csv plugins.ukf.bias_sd=1": "define it: measurement.bias_sd",
     "measurements=fixes.csv measurement.bias_sd=a": "bias_sd: expected standard deviations of biases",
     "measurements=fixes.csv measurement.bias_sd=[[1]]": "bias_sd: expected standard deviations of biases",
-    "measurements=fixes.csv +measurement@sensors.a=position measurement.bias_sd=1": "says what each one",
+    "measurements=fixes.csv +measurement@sensors.a=position measurement.bias_sd=1": "defines what each sen",
     "measurements=fixes.csv system.dt=3 trainer.max_epochs=3": "unknown key 'trainer'",
 }
 
@@ -148,8 +148,8 @@ def test_a_gate_is_on_by_default_and_opens_again_for_a_filter_that_is_lost(capsy
         assert [row["outcome"] for row in rows[: len(outcomes)]] == outcomes
         ends = [float(rows[-1][name]) - ORBIT[40, k] for k, name in enumerate(("x", "y", "z"))]
         assert (max(map(abs, ends)) < 0.2) == (option != "gate=none")
-    assert "reopened the gate, which had refused those before it: its covariance was widened" in caplog.text
-    assert "opened again 1 times after too many in a row" in caplog.text
+    assert "reopened the gate after consecutive rejections; the covariance was enlarged" in caplog.text
+    assert "reopened 1 times after too many in a row" in caplog.text
     assert assimilate(*FIXES, "gate=2", "output=track.csv") == 2
     assert "gate: expected" in capsys.readouterr().err
 

@@ -108,12 +108,12 @@ def test_a_killed_command_goes_on_with_the_same_bytes():
 
 MISTAKES = {
     "objects=name": "measurements: expected a header with time and name, x, y, z; received 'sat'",
-    "objects=time": "objects: expected a column beside",
+    "objects=time": "objects: expected a column other than",
     "watch=true": "watch: expected none with objects=sat; received one",
     "oem=a.oem": "oem: expected none with objects=sat; received one",
     "states=out.csv": "received one path twice",
     "states=last.txt": "output: expected a file .csv, .parquet, .oem, .xml",
-    "plugins=enkf": "process: expected a filter of Gaussian beliefs, as ukf and ekf; received enkf",
+    "plugins=enkf": "process: expected a Gaussian filter, such as ukf or ekf; received enkf",
 }
 
 
@@ -130,7 +130,7 @@ def test_a_mistake_is_one_message_and_leaves_nothing(place, capsys, words):
 @pytest.mark.usefixtures("place")
 def test_states_without_objects_are_refused(capsys):
     assert assimilate(GIVEN[0], *GIVEN[2:], "states=a.csv") == 2
-    assert "states: expected objects=COLUMN beside it" in capsys.readouterr().err
+    assert "states: expected objects=COLUMN with it" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("place")
@@ -165,4 +165,4 @@ def test_what_is_no_shard_is_refused(capsys):
         assert assimilate(*GIVEN, f"shard={wrong}") == 2
         assert "shard: expected NUMBER/WORKERS, such as 2/8" in capsys.readouterr().err
     assert assimilate(*GIVEN, "shard=7/64") == 2
-    assert "shard: expected some of the 4 objects of the start" in capsys.readouterr().err
+    assert "shard: expected at least one of the 4 objects of the start" in capsys.readouterr().err

@@ -78,9 +78,12 @@ def test_a_start_holds_at_its_epoch(arguments, begins):
 
 
 MISTAKES = {
-    "numbers, and nobody says from when": ([START, PLAIN], "expected epochs, as the start has its own"),
-    "two times": ([START, PLAIN, FROM_NOON, "time=3"], "time: expected none, since the file of the start"),
-    "dates, and no epoch": ([*NUMBERS, DATED], "epoch: expected that of time zero, as the measurements have"),
+    "numbers, and nobody says from when": ([START, PLAIN], "expected epochs, since the start has an epoch"),
+    "two times": ([START, PLAIN, FROM_NOON, "time=3"], "time: expected none, since the start file"),
+    "dates, and no epoch": (
+        [*NUMBERS, DATED],
+        "epoch: expected the epoch of time zero, since the measurements have",
+    ),
     "oem of nobody knows when": (
         [*NUMBERS, PLAIN, "oem=o.oem"],
         "oem: expected frame=, center=, time_system",
@@ -138,7 +141,7 @@ def test_the_covariance_of_an_earlier_state_is_carried_to_the_last_one_by_the_mo
     assert float(row["x"]) == pytest.approx(float(ORBIT[20, 0]), rel=1e-14)
     assert float(row["cov_x_x"]) == pytest.approx(float(carried[0, 0]), rel=1e-9)
     assert abs(float(row["cov_x_x"]) - P[0, 0]) > 1e-3 * P[0, 0]
-    assert "its covariance is of a state 300 s before it" in caplog.text
+    assert "its covariance is that of a state 300 s earlier" in caplog.text
     write_start(known=100.0)  # of no state
     assert assimilate(START, DATED, "output=b.csv") == 2
     assert assimilate(START, DATED, "output=b.csv", "start_sd=[0.1,1e-4]") == 0
@@ -194,12 +197,12 @@ def test_stations_say_where_the_earth_stood(capsys):
 
 
 NOTHING = {
-    "late": (["time=1000"], "10 of 10 late. They are before the start: set epoch="),
-    "ahead": (["gap=1"], "10 of 10 ahead. They are far behind the start: set epoch="),
-    "bad": ([], "10 of 10 bad. The lines above say"),
-    "predicted": ([], "10 of 10 predicted. Their numbers are missing"),
+    "late": (["time=1000"], "10 of 10 late. They precede the start: set its time="),
+    "ahead": (["gap=1"], "10 of 10 ahead. They are too long after the start: set its"),
+    "bad": ([], "10 of 10 bad. The lines above state"),
+    "predicted": ([], "10 of 10 predicted. Their values are missing"),
     "rejected": (["plugins.ukf.gate=0.99", "plugins.ukf.patience=20"], "10 of 10 rejected. Set start="),
-    "header": ([], "received no line behind the header"),
+    "header": ([], "received no line after the header"),
 }
 
 

@@ -105,7 +105,7 @@ def test_help_names_every_task():
 def test_a_place_that_takes_no_folder_is_refused_before_the_work(tmp_path, capfd):
     (tmp_path / "file").touch()
     assert call("ahnn.benchmark", "two_bodies", f"output={tmp_path / 'file'}") == 2
-    assert "expected a place that can be written" in capfd.readouterr().err
+    assert "expected a writable place" in capfd.readouterr().err
 
 
 @pytest.mark.usefixtures("known")

@@ -56,7 +56,7 @@ def test_bands_that_are_too_narrow_are_refused_and_right_ones_are_not(width, ver
     text = rank_table(scores(60, width))
     assert f"ranks: {verdict}, least p" in text
     assert "states, all trajectories: 60.0, 90.0, 100.0 % within 1, 2, 3 sigma, mean of 60 draws" in text
-    assert f"along 600 independent directions errors are {width}.00" in text
+    assert f"errors along 600 independent directions are {width}.00" in text
     assert text.endswith(bands)
     assert "ranks: too few draws to tell" in rank_table(scores(3))
 
@@ -90,7 +90,7 @@ def test_what_is_finished_is_kept_shown_and_drawn(tmp_path, capfd, caplog):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["experiment=spring"], "calibrate: expected measurements of a system"),
+        (["experiment=spring"], "calibrate: expected simulated measurements of a system"),
         (["experiment=spring_noisy", "draws=0"], "draws"),
         (["experiment=spring_noisy", "spread=2"], "spread"),
         (["experiment=nothing"], "experiment"),

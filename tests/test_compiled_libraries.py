@@ -102,7 +102,9 @@ def test_a_compiler_that_makes_none_is_one_warning(built, monkeypatch, case):
     command, said = COMPILERS[case]
     monkeypatch.setenv("CC", command)
     for _ in range(2):  # nor does what it left
-        with pytest.warns(UserWarning, match=f"the test goes on without its C library, slower.*{said}"):
+        with pytest.warns(
+            UserWarning, match=f"the test continues without its C library, more slowly.*{said}"
+        ):
             assert built() is None
 
 

@@ -67,7 +67,7 @@ def refused(folder, capfd, *arguments):
     return err
 
 
-MADE = "expected a key that acts on a finished run and not on its training; "
+MADE = "expected a key that applies to a finished run, not to its training; "
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ MADE = "expected a key that acts on a finished run and not on its training; "
         ("system.stiffness=nan", r"system\.stiffness: expected float > 0; received nan"),
         (
             "data.split=[0.2,0.2,0.6]",
-            r"test trajectories that the training has not seen.*11 of 12 are part of it",
+            r"test trajectories that the training has not seen.*11 of 12 are among those seen",
         ),
         ("ckpt=first.ckpt", r"first\.ckpt: expected a file; received none"),
         ("name=a/b", r"evaluation name: expected at most.*received 'a/b'"),
@@ -177,7 +177,7 @@ def test_what_is_given_acts(run, caplog):
     changed = again(run, "system.stiffness=9", "label=nine: again")
     assert changed.label == "nine: again"
     assert changed.rows != before.rows
-    said = "other trajectories than those of the training, none of whose test trajectories it saw"
+    said = "trajectories other than those of the training, with test trajectories it never saw"
     assert changed.training["data"] == said
     assert changed.rows[0].note.splitlines()[0] == f"test data: {said}"
     assert said in caplog.text
@@ -198,7 +198,7 @@ def test_the_last_weights_are_the_best_only_where_nothing_chose_better_ones(run,
     content["ahnn"]["settings"]["callbacks.best.monitor"] = None
     torch.save(content, last)
     assert again(run).training["ckpt"] == "last"
-    assert "no validation chose the best weights; the last ones are taken" in caplog.text
+    assert "no validation chose the best weights; the last ones are used" in caplog.text
 
 
 def test_an_evaluation_weighs_residuals_as_the_training_did(run, capfd, monkeypatch):

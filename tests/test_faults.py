@@ -62,7 +62,7 @@ def test_two_runs_of_one_second_have_a_folder_each(tmp_path):
 def test_a_folder_that_another_process_writes_into_is_refused(tmp_path):
     from ahnn.files import claimed
 
-    with claimed(tmp_path), pytest.raises(UserError, match="another process writes into"), claimed(tmp_path):
+    with claimed(tmp_path), pytest.raises(UserError, match="no other process uses"), claimed(tmp_path):
         pytest.fail("claimed twice")
     with claimed(tmp_path):  # free again
         assert (tmp_path / ".claim").exists()

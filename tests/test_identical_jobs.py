@@ -16,9 +16,9 @@ STAGED = "sensor=spring_states"
         ([STAGED, "model=hnn,ahnn,ahnn3"], 2),
         ([STAGED, "model=hnn,ahnn", "hamiltonian=mechanical,generic"], 1),
         ([STAGED, "model=hnn,node"], 0),
-        (["model=hnn,ahnn"], 1),  # 0.9 of 5 epochs: the last fits derivatives, too
-        (["model=hnn,ahnn", "trainer.max_epochs=10"], 0),
-        (["model=hnn,ahnn", "callbacks.best.monitor=val/loss"], 0),
+        (["model=hnn,ahnn"], 0),
+        (["model=hnn,ahnn", "loss=derivative"], 1),
+        (["model=hnn,ahnn", "loss=derivative", "callbacks.best.monitor=val/loss"], 0),
         (["model=hnn,ahnn", "recipe=first_order"], 0),
         (["integrator=rk4,midpoint"], 0),
     ],

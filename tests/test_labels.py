@@ -122,13 +122,13 @@ def test_velocities_are_neither_read_nor_written_in_their_place(tmp_path):
     (tmp_path / "a.csv").write_text("t,q,v\n0,1,2\n1,2,3\n")
     (tmp_path / "b.csv").write_text("t,q,p\n0,1,2\n1,2,3\n")
     space = Space("fast", ("q", "p"), mechanical=False)
-    with pytest.raises(UserError, match="expected momenta that are mass times velocity; received fast"):
+    with pytest.raises(UserError, match="expected momenta equal to mass times velocity; received fast"):
         starts(str(tmp_path / "a.csv"), space)
     assert starts(str(tmp_path / "b.csv"), space).states.tolist() == [[1.0, 2.0]]
     orbit = Space("o", tuple("xyzabc"), Units("s", "km", "km/s", "km²/s²"), mechanical=False)
-    with pytest.raises(UserError, match="oem: expected momenta that are mass times velocity"):
+    with pytest.raises(UserError, match="oem: expected momenta equal to mass times velocity"):
         write_ephemeris(tmp_path / "o.oem", SimpleNamespace(), orbit, "o", Reference())  # pyright: ignore
-    with pytest.raises(UserError, match="output: expected momenta that are mass times velocity"):
+    with pytest.raises(UserError, match="output: expected momenta equal to mass times velocity"):
         ephemerides(Prediction(torch.zeros(1), torch.zeros(1, 1, 6)), starts([0.0] * 6, orbit), orbit)
     assert Files("f", str(tmp_path / "a.csv")).space.mechanical
 
@@ -142,3 +142,9 @@ def test_angles_beside_lengths_have_a_unit_of_their_own():
     joint = Space("joint", ("x", "a", "px", "pa"), Units("s", "m", "m/s", "J"), angles=("a",))
     assert labels.components(joint)[1::2] == ["a [rad]", "pa [rad/s]"]
     assert prediction_labels(joint) == ["x [m]", "a [rad]", "vx [m/s]", "va [rad/s]"]
+
+
+def test_momenta_of_different_masses_are_divided_each_by_its_own():
+    space = Space("pair", ("x", "y", "px", "py"), Units("s", "m", "m/s", "J"), inertia=(1.0, 10.0))
+    assert labels.components(space) == ["x [m]", "y [m]", "px [m/s]", "py / m [m/s]"]
+    assert [float(one) for one in space.scales] == [1.0, 1.0, 1.0, 10.0]

@@ -94,6 +94,6 @@ def test_equations_beyond_memory_are_refused_before_anything_is_generated(
     assert call("ahnn.train", "budget=smoke", *kept, *given, f"run={tmp_path / 'run'}") == 2
     err = capfd.readouterr().err
     assert err.startswith(f"ahnn: {who}")
-    assert "of memory that are left; received" in err
+    assert "of available memory; received" in err
     assert err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []

@@ -39,18 +39,18 @@ MISTAKES = {
     "~scheduler": "configuration: Key 'scheduler' is not in struct",
     "+seed=3": "configuration: Could not append to config. An item is already at 'seed'",
     "model.loss.derivative=1": "did you mean 'loss.derivative'?",
-    "model=mlp hamiltonian=generic": "model=mlp hamiltonian=generic: these options do not go together",
-    "model=mlp experiment=molniya_mechanical": "these options do not go together; In 'experiment/",
+    "model=mlp hamiltonian=generic": "model=mlp hamiltonian=generic: these options are incompatible",
+    "model=mlp experiment=molniya_mechanical": "these options are incompatible; In 'experiment/",
     "data.noise=-1": "data.noise: expected a standard deviation > 0 for each of q1 [m], p1",
     "data.every=4": "data.noise: expected standard deviations with {'every': 4}; received null",
     "data.gaps=1": "data.noise: expected standard deviations with {'gaps': 1}; received null",
-    "data.measured=position data.noise=0.01": "expected measured states for windows of them; received q1",
+    "data.measured=position data.noise=0.01": "expected measured states for a loss on windows; received q1",
     "recipe=measurements": "loss.stages: expected measurements; received exact states",
     "recipe=measurements data.measured=position data.noise=0.01": "Use hamiltonian=mechanical",
     "recipe=measurements data.noise=0.01 loss.stages=[[4,0.5]]": "loss.stages: expected intervals >= 3",
     "recipe=measurements data.noise=0.01 loss.stages=[[all,1.0]]": "received [['all', 1.0]]",
-    "recipe=measurements data.noise=0.01 window=3": "window: expected none, since loss.stages says how long",
-    "recipe=measurements data.noise=0.01 data.emphasis=0.5": "data.emphasis: expected 0, since stretches",
+    "recipe=measurements data.noise=0.01 window=3": "window: expected none, since loss.stages sets the",
+    "recipe=measurements data.noise=0.01 data.emphasis=0.5": "data.emphasis: expected 0, since all segments",
     "recipe=measurements data.noise=0.01 callbacks.best.monitor=val/rollout": "expected val/loss or val/lost",
     "recipe=measurements data.noise=0.01 loss.robust=cauchy": "loss.robust: expected one of none, huber",
     "model=mlp loss.derivative=1": "model mlp: expected loss=recursive, since a map has no field",
@@ -58,7 +58,7 @@ MISTAKES = {
     "hydra/launcher=nope": "hydra/launcher: unknown option 'nope'; it takes ahnn_process, basic",
     "seed=1,2": "'seed=1,2': expected one value; received several. Add -m to run them all",
     "-m --cfg=hydra": "expected one of --multirun and --cfg; received both",
-    "--foo": "command line: unrecognized arguments: --foo; --help shows what there is",
+    "--foo": "command line: unrecognized arguments: --foo; see --help",
     "--config-dir=nope": "--config-dir: expected a folder; received 'nope'",
     # what the grammar of overrides cannot read
     "label=a=b": "'label=a=b': special characters in a value need quotes. Type 'label=\"a=b\"'",
@@ -142,8 +142,8 @@ def test_a_refusal_leaves_none_of_the_folders_above_that_it_made(named, there, t
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (["data.noise=0.01"], "data.noise: expected a recipe that learns from measurements"),
-        (["experiment=molniya_mechanical", "data.noise=0.1"], "data.noise: expected a recipe that"),
+        (["data.noise=0.01"], "data.noise: expected a recipe for noisy measurements"),
+        (["experiment=molniya_mechanical", "data.noise=0.1"], "data.noise: expected a recipe for"),
         (["system=molniya", "sensor=orbit_states", "recipe=eccentric"], "loss.balance: expected 0 with"),
         (["data.noise=0.1", "recipe=second_order", "loss.balance=0.5"], "loss.balance: expected 0 with"),
         (["system=molniya", "sensor=orbit_positions", "hamiltonian=mechanical"], "recipe: expected one that"),
@@ -210,7 +210,7 @@ def test_ctrl_c_says_how_to_go_on_and_a_run_is_not_replaced(tmp_path, capfd):
     cut = ["+callbacks.cut._target_=entry.CutAfter", "+callbacks.cut.ctrl_c=true"]
     assert call("ahnn.train", *run, *cut, "+callbacks.cut.steps=5") == 130
     err = capfd.readouterr().err
-    assert "no checkpoint yet: the same command starts from the beginning" in err
+    assert "no checkpoint yet: repeating the command starts from the beginning" in err
     assert call("ahnn.train", *run, *cut, "+callbacks.cut.steps=15") == 130
     err = capfd.readouterr().err
     assert f"ahnn: stopped by Ctrl-C; resume with the same command and run={tmp_path} ckpt=last\n" in err

@@ -95,7 +95,7 @@ def test_a_training_learns_time_and_friction(tmp_path):
     close(late, states, 1e-12)
     assert float((late - run.rollout(start, 20)).abs().max()) > 0.1
     close(run.predict(start, 1.0 + 0.05 * torch.arange(21.0).double()).states, late, 1e-12)
-    with pytest.raises(UserError, match="expected time beside the states"):
+    with pytest.raises(UserError, match="expected time in addition to the states"):
         run.flow(start)
     still = trained(tmp_path / "still", *options)
     assert scores.position < 0.2 * load_results(tmp_path / "still").rows[0].scores.position
@@ -215,7 +215,7 @@ def test_known_controls_are_held_or_interpolated_between_samples():
         with pytest.raises(UserError, match=expected):
             steered(flow, times, given)
     three = steered(flow, times, [[[1.0], [3.0], [5.0]]] * 3)
-    with pytest.raises(UserError, match="expected states of 3 members, as controls have; received 1"):
+    with pytest.raises(UserError, match="expected states of 3 members, as in the controls; received 1"):
         at(three, 0.05)(x, 0.05)
     with pytest.raises(UserError, match="steered: expected a flow with controls"):
         steered(exact_flow(ForcedOscillator(name="f", dt=0.05, steps=2)), times, [[1.0], [3.0], [5.0]])
@@ -224,7 +224,7 @@ def test_known_controls_are_held_or_interpolated_between_samples():
 def test_controls_that_no_force_takes_are_said(tmp_path, capsys):
     words = ["system=pushed_spring", "hamiltonian=mechanical", "loss=recursive", "trainer.max_epochs=1"]
     trained(tmp_path / "run", *words)
-    said = "the controls u of the data push nothing in this model: forces=controls takes them"
+    said = "the controls u of the data have no effect in this model; forces=controls uses them"
     assert said in capsys.readouterr().err
 
 

@@ -63,7 +63,7 @@ def test_states_of_a_file_train_resume_and_are_known_again(tmp_path, capfd):
     assert call("ahnn.train", *given, "trainer.max_epochs=1", "ckpt=last") == 0
     assert call("ahnn.evaluate", run, "name=same") == 0
     assert call("ahnn.evaluate", run, "name=cut", "system.cut=30") == 2
-    assert "system: expected the training's files as it read them" in capfd.readouterr().err
+    assert "system: expected the training's files with its settings" in capfd.readouterr().err
     data.write_text(data.read_text().replace("0,0.05,", "0,0.051,", 1))
     assert call("ahnn.train", *given, "trainer.max_epochs=1", "ckpt=last") == 2
     assert "files" in capfd.readouterr().err
@@ -104,7 +104,7 @@ def test_wrong_standard_deviations_are_named_before_a_training_and_below_its_tab
     given += ["loss.stages=[[16, 1.0]]", "trainer.max_epochs=6", f"run={tmp_path / 'run'}"]
     assert call("ahnn.train", *SMALL, f"system.path={data}", *given) == 0
     assert "noise of q1 0.0099 (standard deviations), unless" in (told := capfd.readouterr().err)
-    assert "data.noise says otherwise" in told
+    assert "data.noise differs" in told
     (row,) = ahnn.load(tmp_path / "run").results.rows
     about, _, rest = row.note.partition(" times too large for q")
     assert 4 < float(about.rsplit("data.noise is about ", 1)[1]) < 14
@@ -148,7 +148,7 @@ def test_a_model_of_recorded_positions_filters_as_well_as_its_covariance_says(tm
     for chosen in ([], ["plugins=ukf", given], [given]):
         output = tmp_path / f"{len(means)}.csv"
         assert call("ahnn.assimilate", run, *stream, *chosen, f"output={output}") == 0
-        assert "where a filter is consistent" in caplog.messages[-1]
+        assert "a consistent filter has" in caplog.messages[-1]
         last = list(csv.DictReader(output.read_text().splitlines()))[-1]
         a, b, c = (float(last[name]) for name in ("cov_q_q", "cov_pq_q", "cov_pq_pq"))
         means.append(torch.tensor([float(last["q"]), float(last["pq"])], dtype=torch.float64))
@@ -171,7 +171,7 @@ HUBER = ("loss.robust=huber", "recipe=measurements", "hamiltonian=mechanical")
         (["data.noise=0.01", "data.measured=state", "recipe=measurements"], "received positions alone"),
         (
             ["data.noise=0.01", "data.every=3", "recipe=measurements"],
-            "nothing is drawn; received data.every=3",
+            "nothing is added; received data.every=3",
         ),
         (["data.noise=0.01", "sensor=tracking"], "received data.every=5"),
         (
@@ -209,7 +209,7 @@ def test_a_loss_that_cannot_take_a_step_on_the_data_leaves_nothing_behind(tmp_pa
     given = [*SMALL, f"system.path={data}", "model=ahnn", "recipe=second_order", f"run={tmp_path / 'run'}"]
     assert call("ahnn.train", *given) == 2
     told = capfd.readouterr().err
-    assert "Set loss.derivative=0, or data.noise where they are measurements" in told
+    assert "Set loss.derivative=0, or data.noise if they are measurements" in told
     assert "training" not in told
     assert not (tmp_path / "run").exists()
 

@@ -99,7 +99,7 @@ def test_a_training_that_was_cut_goes_on_to_the_same_bits(whole, tmp_path, monke
     with monkeypatch.context() as patch:
         patch.setattr("ahnn.jobs.fitting.fit", cut)
         assert reproduce(folder, *alone) == 130
-    assert capsys.readouterr().err.endswith("the same command goes on where it was stopped\n")
+    assert capsys.readouterr().err.endswith("repeat the command to resume\n")
     assert read_checkpoint(folder / "AHNN5_7" / "checkpoints" / "last.ckpt")["global_step"] >= 10
     assert reproduce(folder, *alone) == 0
     assert "AHNN5_7: goes on" in capsys.readouterr().err
@@ -124,7 +124,7 @@ def test_other_settings_in_the_same_folder_are_refused(whole, changed, key, caps
     assert call("ahnn.reproduce", *overrides, *changed, f"run={whole}") == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert key in line
-    assert line.endswith("Name another folder with run=")
+    assert line.endswith("Choose another folder with run=")
     assert content(whole) == before
 
 
@@ -133,7 +133,7 @@ def test_a_run_of_another_process_is_left_to_it(copied, capsys):
     with claimed(copied / "NODE_7", ".turn"):
         assert reproduce(copied) == 0
     printed = capsys.readouterr()
-    assert "NODE_7: another process works on it" in printed.err
+    assert "NODE_7: in use by another process" in printed.err
     assert "without results yet: NODE_7" in printed.out
     assert not (copied / "NODE_7" / "metrics.json").exists()
 

@@ -61,19 +61,19 @@ SPOILED = {
     ),
     "a missing option": (
         lambda c: c["optimizer_states"][0]["param_groups"][0].pop("betas"),
-        "received one that is not whole: KeyError('betas')",
+        "received an incomplete one: KeyError('betas')",
     ),
     "a parameter too many": (
         lambda c: c["optimizer_states"][0]["param_groups"][0]["params"].append(99),
-        "received one that is not whole: ValueError",
+        "received an incomplete one: ValueError",
     ),
     "no progress": (
         lambda c: c["loops"]["fit_loop"].update(epoch_progress={}),
-        "received one that is not whole: KeyError('total')",
+        "received an incomplete one: KeyError('total')",
     ),
     "no best value": (
         lambda c: c["callbacks"].update(BestPoint={"x": 1}),
-        "received one that is not whole: KeyError('best')",
+        "received an incomplete one: KeyError('best')",
     ),
     "a moment that is no tensor": (
         lambda c: c["optimizer_states"][0]["state"][0].update(exp_avg=None),
@@ -90,7 +90,7 @@ SPOILED = {
     ),
     "a version that is none": (
         lambda c: c.update({"pytorch-lightning_version": "x"}),
-        "received one that is not whole: ",
+        "received an incomplete one: ",
     ),
     "a tensor among what is known": (
         lambda c: c["ahnn"]["data"]["recipe"].update(seed=torch.zeros(3)),

@@ -112,7 +112,7 @@ def test_ctrl_c_in_a_search_says_that_the_search_goes_on(tmp_path):
     job.send_signal(signal.SIGINT)
     said, _ = job.communicate(timeout=60)
     assert job.returncode == 130
-    assert "ahnn: stopped by Ctrl-C; the same command continues the search\n" in said
+    assert "ahnn: stopped by Ctrl-C; repeat the command to continue the search\n" in said
     assert "from the beginning" not in said
 
 

@@ -10,7 +10,7 @@ from ahnn.cli.commandline import compose, config_loader
 from ahnn.cli.unreferenced_keys import BY_REFERENCE, keys_of, unreferenced
 from ahnn.cli.unused_keys import BIAS, EVALUATED, SIMULATED, unread_online
 
-NONE = "nothing that was chosen takes it"
+NONE = "no chosen option uses it"
 UNREAD = {
     "scheduler=cosine": ("scheduler", "second-order steps have no learning rate"),
     "scheduler=exp_hyperbolic scheduler.infimum_lr=1e-5": ("scheduler", "second-order steps"),
@@ -21,17 +21,20 @@ UNREAD = {
     "measurement=state": ("measurement", NONE),
     "measurement.sd=0.1": ("measurement.sd", NONE),
     "label=mine model_label=other": ("model_label", NONE),
-    "seeds=[1,2] seed=4": ("seed", "seeds says which ones"),
+    "seeds=[1,2] seed=4": ("seed", "seeds= replaces it"),
     "callbacks.rollout.count=0 callbacks.rollout.every=2 callbacks.best.monitor=val/loss": (
         "callbacks.rollout.every",
-        "callbacks.rollout.count=0 rolls out nothing",
+        "callbacks.rollout.count=0 disables rollouts",
     ),
     "sensor=spring_states callbacks.rollout.count=3": ("callbacks.rollout.count", "measurements have no"),
-    "sensor=spring_states optimizer.tolerance=0.1": ("optimizer.tolerance", "steps on measurements hold"),
+    "sensor=spring_states optimizer.tolerance=0.1": ("optimizer.tolerance", "steps on measurements use"),
     "+trainer.gradient_clip_algorithm=norm": ("trainer.gradient_clip_algorithm", "trainer.gradient_clip_val"),
-    "plugins=ukf plugins.ukf.patience=3": ("plugins.ukf.patience", "gate=null refuses nothing"),
-    "plugins=ukf plugins.ukf.times=[0.3] plugins.ukf.cadence=7": ("plugins.ukf.cadence", "times says when"),
-    "system=molniya system.periods=2.0 system.steps=9": ("system.steps", "system.periods says"),
+    "plugins=ukf plugins.ukf.patience=3": ("plugins.ukf.patience", "gate=null rejects nothing"),
+    "plugins=ukf plugins.ukf.times=[0.3] plugins.ukf.cadence=7": (
+        "plugins.ukf.cadence",
+        "times sets the times",
+    ),
+    "system=molniya system.periods=2.0 system.steps=9": ("system.steps", "system.periods sets"),
 }
 
 
@@ -50,7 +53,7 @@ def test_a_key_without_effect_is_refused_with_the_reason(given, tmp_path, capfd)
     assert call("ahnn.train", *command(given.split()), f"run={tmp_path / 'run'}") == 2
     err = capfd.readouterr().err
     key, reason = UNREAD[given]
-    assert err.startswith(f"ahnn: {key}: expected a key with an effect; received one that has none: {reason}")
+    assert err.startswith(f"ahnn: {key}: expected a key with an effect; received one without: {reason}")
     assert err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 

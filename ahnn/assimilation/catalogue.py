@@ -64,7 +64,10 @@ class Catalogue:
         names = [] if objects is None else list(objects)
         moments = _checked_starts(start, None if objects is None else names, times)
         if clock_of(process.flow) > 1:
-            message = "process: expected forces of state and time for many objects; received some of controls"
+            message = (
+                "process: expected forces that depend only on state and time, for many objects; "
+                "received some that depend on controls"
+            )
             raise UserError(message)
         self.sensors, self.size = dict(sensors), start.mean.shape[-1]
         self.limits = Limits(window, lines, FURTHEST * process.max_step if gap is None else gap)
@@ -75,7 +78,7 @@ class Catalogue:
             state = self.process.estimator.start(self.process.lifted(start), 0.0)
             if not isinstance(state, FilterState):
                 name = process.estimator.name
-                message = f"process: expected a filter of Gaussian beliefs, as ukf and ekf; received {name}"
+                message = f"process: expected a Gaussian filter, such as ukf or ekf; received {name}"
                 raise UserError(message)
             self.objects = FollowedObjects(state)
             self.newcomer = None if objects is not None else (state, float(moments[0]))
@@ -193,19 +196,19 @@ class Catalogue:
             message = f"readings: expected columns of shapes {count} and {wide}; received {shapes}"
             raise UserError(message)
         if not np.isfinite(times).all() or np.isinf(values).any():
-            message = (
-                "readings: expected times and numbers that are finite, NaN of what is missing; received inf"
-            )
+            message = "readings: expected finite times and values, NaN where missing; received inf"
             raise UserError(message)
         if len(sensors) and not -1 <= sensors.min() <= sensors.max() < len(self.sensors):
-            message = f"readings: expected sensors from -1 to {len(self.sensors) - 1}; received others"
+            message = (
+                f"readings: expected sensor numbers from -1 to {len(self.sensors) - 1}; received one outside"
+            )
             raise UserError(message)
         for k, (name, sensor) in enumerate(self.sensors.items()):
             own = [self.columns.index(column) for column in sensor.columns]
             sds = deviations[sensors == k][:, own]
             lacking = sensor.deviations is None and np.isnan(sds).any()
             if lacking or (sds <= 0).any():
-                message = f"sd: expected standard deviations > 0 of {name}; received others, or none"
+                message = f"sd: expected standard deviations > 0 for {name}; received others, or none"
                 raise UserError(message)
 
 
@@ -213,7 +216,7 @@ def _checked_starts(start: Belief, names: list[str] | None, times: Numbers) -> A
     """Validate the starts of objects and return their times (N,); raises UserError."""
     count = len(start.mean)
     if names is None and count != 1:
-        message = f"start: expected one belief where no objects are named; received {count}"
+        message = f"start: expected one belief if no objects are named; received {count}"
         raise UserError(message)
     if names is not None and len(names) != count:
         message = f"start: expected beliefs about {len(names)} objects; received {count}"
@@ -224,7 +227,7 @@ def _checked_starts(start: Belief, names: list[str] | None, times: Numbers) -> A
         raise UserError(message)
     moments = as_float64(times, "times")
     if moments.shape not in ((), (count,)) or not bool(moments.isfinite().all()):
-        message = f"times: expected one that is finite, or {count}; received {tuple(moments.shape)}"
+        message = f"times: expected one finite time, or {count}; received {tuple(moments.shape)}"
         raise UserError(message)
     return moments.expand(count).numpy().copy()
 

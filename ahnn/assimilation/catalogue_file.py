@@ -22,7 +22,7 @@ FORMAT = "ahnn catalogue 1"
 """Version number, increased when the meaning of a stored tensor changes."""
 BELIEFS = ("status", "failed_step", "rejections", "repairs", "log_likelihood")
 """Columns of a row besides mean and factor."""
-OTHERS = "Go on with the same command, or remove it and its output to begin again"
+OTHERS = "Repeat the original command, or remove the state and its output to start over"
 
 
 def write_catalogue(objects: FollowedObjects, path: Path, identity: str, notes: Mapping[str, str]) -> None:
@@ -76,18 +76,18 @@ def read_catalogue(
         parts = [content[name].numpy() for name in ("since", "lost")]
         count = len(about["names"])
         if len(restored) != count or any(part.shape != (count,) for part in parts):
-            message = "objects of other numbers"
+            message = "unequal numbers of objects"
             raise ValueError(message)  # noqa: TRY301
         notes = {str(key): str(value) for key, value in about["notes"].items()}
     except (UserError, OSError, ValueError, KeyError, TypeError, RuntimeError, AttributeError) as error:
         message = f"state: expected a file written by save; received {path} ({error})"
         raise UserError(message) from error
     if about["of"] != identity:
-        expected = "one of this model, process noise, gate, sensors and window"
-        message = f"state: expected {expected}; received {path} of others. {OTHERS}"
+        expected = "a state of this model, process noise, gate, sensors and window"
+        message = f"state: expected {expected}; received {path} of different ones. {OTHERS}"
         raise UserError(message)
     if names is not None and names != about["names"]:
-        message = f"start: expected the {count} objects of {path}; received others. {OTHERS}"
+        message = f"start: expected the {count} objects of {path}; received different ones. {OTHERS}"
         raise UserError(message)
     objects.restore(about["names"], state, restored, *parts)
     return notes

@@ -121,7 +121,7 @@ class CatalogueSession(StreamSession):
                 bad[parsed.lines[k]] = reason
             else:
                 name, line = parsed.table.objects[k], parsed.lines[k]
-                log.warning("line %d: object %s: %s. It is left out from here on", line, name, reason)
+                log.warning("line %d: object %s: %s. It is ignored from here on", line, name, reason)
         counts = np.bincount(found.fates, minlength=len(FATES)).tolist()
         self.counts.update({fate: count for fate, count in zip(FATES, counts, strict=True) if count})
         self.counts.update({"bad": len(parsed.bad)} if parsed.bad else {})
@@ -140,15 +140,15 @@ class CatalogueSession(StreamSession):
         new = {parsed.table.objects[k]: parsed.lines[k] for k in reversed(unknown)}
         new = {name: line for name, line in new.items() if name not in self.unknown}
         self.unknown |= {*islice(new, max(0, NAMED - len(self.unknown)))}
-        _say("unknown", {line: f"object {name} has no start: not counted" for name, line in new.items()})
+        _say("unknown", {line: f"object {name} has no start: ignored" for name, line in new.items()})
 
 
 WORDS = {
-    "late": "comes later than the window allows: not counted",
-    "repeated": "was counted before: not counted again",
-    "ahead": "lies further ahead than a gap may be: not counted",
+    "late": "is later than the window allows: ignored",
+    "repeated": "was already processed: ignored",
+    "ahead": "is further ahead than the largest gap allowed: ignored",
     "rejected": "rejected by the gate",
-    "reopened": "reopened the gate, which had refused those before it: its covariance was widened",
+    "reopened": "reopened the gate after consecutive rejections; the covariance was enlarged",
 }
 
 

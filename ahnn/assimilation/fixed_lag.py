@@ -1,4 +1,4 @@
-"""Fixed-lag smoothing: what is believed of an earlier time, given the readings that came since.
+"""Fixed-lag smoothing: the belief about an earlier time, given all readings since.
 
 The estimate of the newest reading is taken back through the steps of the filter, by the laws of the
 Rauch-Tung-Striebel smoother: it is that smoother of all readings so far, at one of their times.
@@ -26,8 +26,8 @@ class LaggedEstimate(NamedTuple):
 def smoothed_at(window: ReadingWindow, time: float) -> LaggedEstimate | None:
     """Return the smoothed belief after the last reading that is not later than a time.
 
-    None where that lies before all that is kept, or before a reading that reopened the gate: no law leads
-    back from a belief that was widened.
+    None where that lies before all that is kept, or before a reading that reopened the gate: an enlarged
+    covariance cannot be smoothed backwards.
     """
     first = bisect_right(window.entries, time, key=TIME)
     later = window.entries[first:]

@@ -39,7 +39,9 @@ class Journal(io.RawIOBase):
             UserError: a journal exists without its state.
         """
         if os.path.lexists(self.path):
-            message = f"state: expected the state of the journal {self.path}; received none. Remove it"
+            message = (
+                f"state: expected the state of the journal {self.path}; received none. Remove the journal"
+            )
             raise UserError(message)
         self.saved(0)
 
@@ -53,12 +55,12 @@ class Journal(io.RawIOBase):
             head, *pieces = _pieces(read_whole(self.path, available()))
             self._base, content = int(head), b"".join(pieces)
             if not 0 <= place - self._base <= len(content):
-                message = f"that of {self._base} to {self._base + len(content)}, not of {place}"
+                message = f"the part from {self._base} to {self._base + len(content)}, without {place}"
                 raise ValueError(message)  # noqa: TRY301 - one message for every kind of damage
         except (OSError, ValueError) as error:
             message = (
-                f"state: expected its journal {self.path}, intact; received {error}. Begin again with "
-                "another state and output"
+                f"state: expected an intact journal {self.path}; received {error}. Start over with a new "
+                "state and output"
             )
             raise UserError(message) from error
         self._kept = bytearray(content)

@@ -16,7 +16,7 @@ TIME = attrgetter("time")
 
 
 class KeptReading(NamedTuple):
-    """A reading that counted, what it told, what holds behind it, if the gate reopened, and the way back."""
+    """A processed reading, its innovation, the belief after it, a reopened gate, and the backward kernel."""
 
     time: float
     reading: Reading

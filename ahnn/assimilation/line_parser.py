@@ -15,14 +15,14 @@ from ahnn.assimilation.instrument_reading import Reading
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.assimilation.stream_sensor import StreamSensor
 from ahnn.data.files.columns import control_named
-from ahnn.data.files.table import FINITE, HEADER, LARGEST
+from ahnn.data.files.table import FINITE, LARGEST, column_of
 from ahnn.data.files.units import factor
 from ahnn.errors import UserError
 
 log = logging.getLogger("ahnn")
 
-TIME, SENSOR, SD = ("time", "t"), "sensor", "sd_"
-"""Column names of time and sensor, and the prefix of standard deviation columns."""
+TIME, SENSOR, STATION, SD = ("time", "t"), "sensor", "station", "sd_"
+"""Column names of time and sensor, or station, and the prefix of standard deviation columns."""
 RESERVED = frozenset(',"\n\r')
 """Characters not allowed in an object name, which must be usable as a table cell."""
 
@@ -55,18 +55,24 @@ class Layout:
         self.measured = {key for sensor in sensors.values() for key in _keys(sensor)}
         self.known = {*TIME, SENSOR, *controls, *self.measured}
         if objects in self.known:
-            message = f"objects: expected a column beside {', '.join(sorted(self.known))}; received {objects}"
+            message = (
+                f"objects: expected a column other than {', '.join(sorted(self.known))}; received {objects}"
+            )
             raise UserError(message)
         self.known |= {objects} - {""}
         self.foreign = {key: self.measured - _keys(sensor) for key, sensor in sensors.items()}
         if clash := self.measured & {*controls}:
-            message = f"measurements: expected sensors that measure no control; received {', '.join(clash)}"
+            message = (
+                f"measurements: expected sensors that do not measure controls; received {', '.join(clash)}"
+            )
             raise UserError(message)
         self.said: set[tuple[str, str]] = set()
         self.names: list[str] | None = None
         self.scales: dict[str, float] = {}
         if "\r" in first.strip():
-            message = "measurements: expected lines that end with LF; received CR. tr '\\r' '\\n' makes such"
+            message = (
+                "measurements: expected lines that end with LF; received CR. tr '\\r' '\\n' converts them"
+            )
             raise UserError(message)
         if not first.lstrip().startswith("{"):
             self.delimiter = max(",;\t", key=first.count)
@@ -99,7 +105,7 @@ class Layout:
         cell = row.get(self.objects)
         name = "" if is_missing(cell) or isinstance(cell, bool) else str(cell).strip()
         if not name or not isinstance(cell, str | int) or not {*name}.isdisjoint(RESERVED):
-            expected = "the name of an object, without commas and quotes"
+            expected = "an object name without commas or quotes"
             message = f"{self.objects}: expected {expected}; received {str(cell)[:40]!r}"
             raise BadLine(message)
         return name
@@ -148,7 +154,9 @@ class Layout:
         for key in self.foreign[name]:
             if key in row and (name, key) not in self.said and not is_missing(row[key]):
                 self.said.add((name, key))
-                log.warning("measurements: %s is not used in lines of sensor %s, which has none", key, name)
+                log.warning(
+                    "measurements: %s is ignored on lines of sensor %s, which does not measure it", key, name
+                )
 
     def _cells(self, text: str) -> dict[str, Any]:
         assert self.names is not None
@@ -188,11 +196,12 @@ class Layout:
 
     def _called(self, name: str) -> str:
         """Return the canonical name of a column; a single control may have any of the control names."""
+        name = SENSOR if name == STATION else name
         if name in self.known or (ours := control_named(name, self.controls)) == name:
             return name
         if ("", name) not in self.said:
             self.said.add(("", name))
-            log.info("measurements: %s is taken for the control %s", name, ours)
+            log.info("measurements: %s is taken as the control %s", name, ours)
         return ours
 
     def _deviations(
@@ -219,15 +228,14 @@ class Layout:
 
     def _name(self, cell: str) -> str:
         """Return the column name in a header cell; raises UserError for unknown names."""
-        found = HEADER.fullmatch(cell)
-        name = self._called(found["name"] if found else cell)
+        name, unit = column_of(cell, self.measured)
+        name = self._called(name)
         if name not in self.known:
             expected = f"a header with {self._expected()}"
             message = (
                 f"measurements: expected {expected}; received {name!r}{nearest(name, sorted(self.known))}"
             )
             raise UserError(message)
-        unit = found["unit"] if found else None
         if unit is not None and name in TIME and self.clock is not None:
             self.clock = self.clock.named(unit)
         elif unit is not None and name in self.measured:
@@ -254,7 +262,7 @@ class Layout:
             return factor(given, units[name])
         except ValueError as error:
             message = (
-                f"measurements: expected {name} in {units[name]}, or a unit that fits it; received {given}"
+                f"measurements: expected {name} in {units[name]}, or a compatible unit; received {given}"
             )
             raise UserError(message) from error
 
@@ -273,6 +281,6 @@ def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Build a JSON object from pairs; raises ValueError for duplicate keys."""
     found = dict(pairs)
     if len(found) < len(pairs):
-        message = "a key twice"
+        message = "a duplicate key"
         raise ValueError(message)
     return found

@@ -61,8 +61,8 @@ class Lines:
             pass
         if self.digest != digest:
             message = (
-                f"measurements: expected the lines that were counted before, up to line {number}; received "
-                "others. Add new ones at the end, or begin again with another state and output"
+                f"measurements: expected the lines processed before, up to line {number}, unchanged; "
+                "received others. Append new lines, or start over with a new state and output"
             )
             raise UserError(message)
 

@@ -49,7 +49,9 @@ class ObjectShard(NamedTuple):
         own = torch.from_numpy(self.holds(names))
         if not own.any():
             received = f"none for worker {self.number} of {self.workers}"
-            message = f"shard: expected some of the {len(names)} objects of the start; received {received}"
+            message = (
+                f"shard: expected at least one of the {len(names)} objects of the start; received {received}"
+            )
             raise UserError(message)
         mine = [name for name, is_own in zip(names, own.tolist(), strict=True) if is_own]
         return mine, Belief(belief.mean[own], belief.chol[own]), times[own]

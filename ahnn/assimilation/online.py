@@ -35,13 +35,13 @@ class Estimate(NamedTuple):
 
     Attributes:
         outcome: of the reading.
-        time: at which the estimate holds: that of the newest reading.
+        time: time of the estimate, that of the newest reading.
         mean: (D,).
         covariance: (D, D).
-        innovation: what the reading told; None where it left the estimate as it was.
+        innovation: innovation of the reading; None if the estimate did not change.
         replayed: readings that came before it and are later than it.
         modes: probabilities of the modes of interacting models; of other filters there are none.
-        smoothed: with a lag, what is believed of that much earlier; None where nothing is.
+        smoothed: with a lag, the belief about the time that much earlier; None if unavailable.
     """
 
     outcome: Outcome
@@ -63,12 +63,12 @@ class Assimilation:
 
     Args:
         process: the estimator and its process model.
-        sensors: by name; a reading without name is of the only one.
+        sensors: by name; a reading without a name belongs to the only sensor.
         start: belief about the state, of one member.
-        time: at which it holds.
-        window: readings that come late by up to this are put in their place and later ones replayed.
+        time: time of the belief.
+        window: readings late by up to this are inserted at their time, and later ones are replayed.
         lines: most readings that are kept for that.
-        gap: a reading that lies further ahead is refused; None is 10,000 steps of the flow.
+        gap: a reading further ahead is ignored; None is 10,000 steps of the flow.
         controls: of a process model that has some, known ahead; None where readings bring them.
         lag: estimates are also smoothed that much later, with the readings since; None smooths none.
 
@@ -92,7 +92,9 @@ class Assimilation:
         lag: Positive | None = None,
     ) -> None:
         if lag is not None and not isinstance(process.estimator, GaussianFilter):
-            message = f"lag: expected a Gaussian filter, as ukf and ekf; received {process.estimator.name}"
+            message = (
+                f"lag: expected a Gaussian filter, such as ukf or ekf; received {process.estimator.name}"
+            )
             raise UserError(message)
         if len(start.mean) != 1:
             message = f"start: expected a belief about one state; received {tuple(start.mean.shape)}"
@@ -206,13 +208,14 @@ class Assimilation:
         """Return the settings of a saved state that differ from ours, for messages; "" if none."""
         if notes["of"] != self.identity:
             return (
-                f"state: expected one of this model, process noise, gate, sensors and window; received "
-                f"{path} of others. Go on with the same command, or remove it and its output to begin again"
+                "state: expected a state of this model, process noise, gate, sensors and window; "
+                f"received {path} of different ones. Repeat the original command, or remove it and its "
+                "output to start over"
             )
         if notes["controls"] != self.controls.hash_before(time):
             return (
-                f"controls: expected those of {path}, up to time {time:g}; received others. Go on with the "
-                "same ones, added to behind it at most, or begin again with another state and output"
+                f"controls: expected those of {path} up to time {time:g}; received different ones. Use "
+                "the same controls, with new rows only at the end, or start over with a new state and output"
             )
         return ""
 
@@ -220,7 +223,7 @@ class Assimilation:
         """Return the reading with its sensor name filled in, if it has values."""
         self.controls.require_fitting(reading)
         if not math.isfinite(reading.time):
-            message = f"reading: expected a time that is finite; received {reading}"
+            message = f"reading: expected a finite time; received {reading}"
             raise UserError(message)
         if not (reading.sensor or reading.values):
             return reading
@@ -284,7 +287,7 @@ class Assimilation:
 def absurd_numbers(said: list[str], deviations: Sequence[float]) -> str:
     """Return the message for values too extreme for a filter, given as text."""
     received = ", ".join([*said, *(f"sd {sd:g}" for sd in deviations)])
-    return f"expected numbers that leave a finite, precise estimate; received {received}"
+    return f"expected values that give a finite, precise estimate; received {received}"
 
 
 def lost_filter(status: int, time: float, sensor: str) -> str:

@@ -36,10 +36,10 @@ class Rows:
         components: names of those of the state.
         sensors: by name.
         kind: csv or json, or of many objects parquet.
-        said: units and frame, which go beside a file; None writes none.
-        scales: (D,) by which components are divided where they are written; None by nothing.
+        said: units and frame, written to a sidecar; None writes none.
+        scales: (D,) divisors of the written components; None for no division.
         modes: of interacting models, whose probabilities are columns.
-        lag: whether there are columns of what is smoothed.
+        lag: whether to write columns of smoothed estimates.
     """
 
     def __init__(
@@ -168,8 +168,8 @@ class Output:
         if line is not None and (found := self._cut_back(rows, line, tail)):
             self.close()
             message = (
-                f"output: expected {path} as it was left, {size} bytes and rows of later lines; received "
-                f"{found}. Begin again with another state and output"
+                f"output: expected {path} unchanged, {size} bytes and rows of later lines; received "
+                f"{found}. Start over with a new state and output"
             )
             raise UserError(message)
 
@@ -219,7 +219,7 @@ def require_new(path: str) -> None:
     """Raise UserError if the path of a new output exists."""
     if path != "-" and os.path.lexists(path):
         message = (
-            f"output: expected a new file; received {path}, which is there. Name another one or remove it"
+            f"output: expected a new file; received {path}, which exists. Choose another name, or remove it"
         )
         raise UserError(message)
 
@@ -227,7 +227,7 @@ def require_new(path: str) -> None:
 def _opened(path: Path, *, new: bool) -> BinaryIO:
     """Open and lock a file; raises UserError if another process writes it or an expected file is missing."""
     if not (new or path.exists()):
-        message = f"output: expected {path} as it was left; received none. Begin again with another state"
+        message = f"output: expected {path} unchanged; received none. Start over with a new state"
         raise UserError(message)
     path.parent.mkdir(parents=True, exist_ok=True)
     file = path.open("r+b" if path.exists() else "x+b")
@@ -235,6 +235,6 @@ def _opened(path: Path, *, new: bool) -> BinaryIO:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         file.close()
-        message = f"output: expected a file of its own; received {path}, which another process writes"
+        message = f"output: expected a file that no other process writes; received {path}"
         raise UserError(message) from error
     return file

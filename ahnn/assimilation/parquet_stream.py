@@ -77,8 +77,9 @@ class ParquetRows:
         del place
         if digest != self.digest:
             message = (
-                f"measurements: expected the file whose {number} rows were counted before; received another. "
-                "Begin again with another state and output"
+                f"measurements: expected the file whose {number} rows were processed before; received "
+                "another. "
+                "Start over with a new state and output"
             )
             raise UserError(message)
         self.number = self._skipped = number
@@ -113,13 +114,13 @@ class ParquetParts:
         whole = found.keys() >= {*range(1, parts + 1)}
         if not whole or (parts and digest_of(found[parts].read_bytes()) != tail):
             message = (
-                f"output: expected {path} as it was left, with {parts} parts; received other content. Begin "
-                "again with another state and output"
+                f"output: expected {path} unchanged, with {parts} parts; received other content. Start "
+                "over with a new state and output"
             )
             raise UserError(message)
         for number in found.keys() - {*range(1, parts + 1)}:
             if not is_own(found[number]):
-                message = f"output: expected parts of ours; received {found[number]}. Move it"
+                message = f"output: expected parts written by ahnn; received {found[number]}. Move it"
                 raise UserError(message)
             remove_own(found[number])
 

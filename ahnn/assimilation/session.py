@@ -19,17 +19,22 @@ Watcher = Callable[[int, Reading, Estimate, Counter[str]], None]
 """Callback for every measurement line: line number, reading, estimate, and counts so far."""
 
 WORDS = {
-    "late": "comes later than the window allows, at time {now:g}: not counted",
-    "repeated": "was counted before: not counted again",
-    "ahead": "lies further ahead than a gap may be, from time {now:g}: not counted",
+    "late": "is later than the window allows, at time {now:g}: ignored",
+    "repeated": "was already processed: ignored",
+    "ahead": "is further ahead than the largest gap allowed, from time {now:g}: ignored",
 }
 
 
 class Session(StreamSession):
-    """Session for one object; arguments as in `StreamSession`, preceded by an `Assimilation`."""
+    """Session for one object; arguments as in `StreamSession`, preceded by an `Assimilation`.
+
+    Attributes:
+        fitted: number of the last line of measurements that the start was fitted to, which are left out.
+    """
 
     filter: Assimilation
     lines: Lines
+    fitted: int = 0
 
     def run(self, watch: Watcher | None = None) -> None:
         """Assimilate all lines of the stream.
@@ -60,6 +65,9 @@ class Session(StreamSession):
         assert self.output is not None
         if self.layout.names and text == self.header:  # repeated header where tables are concatenated
             return
+        if number <= self.fitted:
+            self.counts["fitted"] += 1
+            return
         try:
             reading = self.layout.reading(text)
             estimate = self.filter.update(reading)
@@ -68,7 +76,7 @@ class Session(StreamSession):
             log.info("line %d: %s; skipped", number, error)
             return
         except Diverged as error:
-            message = f"line {number}: {error}. Begin again with another start, or more noise"
+            message = f"line {number}: {error}. Start over with another start, or more noise"
             raise TrainingError(message) from error
         self.counts[estimate.outcome] += 1
         if estimate.innovation is None:
@@ -80,9 +88,9 @@ class Session(StreamSession):
             nis, dof = float(estimate.innovation.nis), int(estimate.innovation.measured)
             if estimate.outcome == "rejected":
                 told = number, reading.label, nis, dof
-                log.info("line %d: %s rejected, NIS %.3g of %d numbers", *told)
+                log.info("line %d: %s rejected, NIS %.3g for %d values", *told)
             elif estimate.outcome == "reopened":
-                words = "reopened the gate, which had refused those before it: its covariance was widened"
+                words = "reopened the gate after consecutive rejections; the covariance was enlarged"
                 log.info("line %d: %s %s", number, reading.label, words)
             elif dof:
                 self.nis, self.numbers = self.nis + nis, self.numbers + dof

@@ -55,7 +55,7 @@ def belief_of(
     """
     if len(found.states) != 1 and not many:
         names = ", ".join(found.names[:5]) + (", .." if len(found.names) > 5 else "")
-        remedy = "Keep one of them, or name the column of objects, objects=COLUMN"
+        remedy = "Keep one of them, or set the column with the object names, objects=COLUMN"
         message = f"start: expected one state; received {len(found.states)}: {names}. {remedy}"
         raise UserError(message)
     covariance = found.covariances
@@ -70,11 +70,11 @@ def belief_of(
         times, states = found.since
         covariance = carry(states, torch.cat((times, found.times)), covariance)
         span = f"{float(found.times - times):g} {space.units.time}"
-        log.info("start: its covariance is of a state %s before it, and carried on by the model", span)
+        log.info("start: its covariance is that of a state %s earlier, propagated by the model", span)
     try:
         return initial_belief(found.states, covariance)
     except ValueError as error:
-        message = f"start: expected a state with its covariance; received another ({error})"
+        message = f"start: expected a state with a valid covariance; received another ({error})"
         raise UserError(message) from error
 
 
@@ -95,9 +95,7 @@ def begin(found: Starts, ours: Reference, time: float | None, unit: str) -> Begi
     clock = StreamClock(unit, None, whole.clock or "UTC")
     if own.epoch is None:
         if time is not None and held not in (0.0, time):
-            message = (
-                f"time: expected none, since the file of the start has its own, {held:g}; received {time:g}"
-            )
+            message = f"time: expected none, since the start file has its own, {held:g}; received {time:g}"
             raise UserError(message)
         return Begin(clock._replace(zero=whole.epoch), held if time is None else time, whole)
     moment = own.on(clock.system)
@@ -107,6 +105,6 @@ def begin(found: Starts, ours: Reference, time: float | None, unit: str) -> Begi
         return Begin(clock, time or 0.0, whole._replace(epoch=zero))
     if time is not None:
         said = spelled(clock.after(moment.epoch, held), utc=clock.system == "UTC")
-        message = f"time: expected none, since the file of the start has its own, {said}; received {time:g}"
+        message = f"time: expected none, since the start file has its own, {said}; received {time:g}"
         raise UserError(message)
     return Begin(clock._replace(zero=whole.epoch), clock.between(whole.epoch, moment.epoch) + held, whole)

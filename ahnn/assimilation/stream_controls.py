@@ -17,7 +17,7 @@ Held = tuple[float | None, ...]
 """The m controls valid at a time; None for one not yet supplied by a reading."""
 
 
-NONE = "none, since no force of the model depends on any"
+NONE = "none, since no force of the model depends on controls"
 
 
 class StreamControls(NamedTuple):
@@ -64,13 +64,13 @@ class StreamControls(NamedTuple):
             return
         if self.known is not None:
             message = (
-                f"controls: expected a table or readings that have them; received both, {given} in that of "
-                f"time {reading.time:g}. Leave one out"
+                f"controls: expected a table, or readings with controls; received both, {given} in the "
+                f"reading at time {reading.time:g}. Leave one out"
             )
             raise UserError(message)
         fits = len(given) == self.size and all(u is None or abs(u) <= LARGEST for u in given)
         if not fits:
-            each = f"{self.size} finite numbers up to {LARGEST:g}, None for one that stays as it is"
+            each = f"{self.size} finite numbers up to {LARGEST:g}, None for an unchanged one"
             expected = each if self.size else NONE
             message = f"controls: expected {expected}; received {given}"
             raise UserError(message)
@@ -93,8 +93,9 @@ class StreamControls(NamedTuple):
             known = self.size - held.count(None)
             received = f"{known} of {self.size}" if known else "none"
             message = (
-                f"controls: expected them from the start on, at time {since:g}; received {received} before a "
-                f"reading of time {time:g}. Begin with one of time {since:g} that has them, or set controls="
+                f"controls: expected values from the start on, at time {since:g}; received {received} "
+                f"before a reading at time {time:g}. Begin with one of time {since:g} that has them, or "
+                "set controls="
             )
             raise UserError(message)
         return self._held(held, since)

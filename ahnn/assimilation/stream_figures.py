@@ -64,7 +64,7 @@ def consistency(record: AssimilationRecord, space: Space) -> Figure:
         axes.fill_between(t, low, high, color=style.BAND, alpha=0.5, lw=0, label="95 % band")
         axes.plot(t, nis / dof, **style.MODEL, label=f"mean of {count} readings")
     axes.axhline(1, color=style.BLACK, lw=0.6)
-    axes.set_ylabel("NIS / measured numbers")
+    axes.set_ylabel("NIS / number of values")
     axes.set_xlabel(f"time [{unit}]")
     axes.set_title(f"{space.name}: consistency")
     style.legend_below(figure, axes)
@@ -80,9 +80,9 @@ def deviations(record: AssimilationRecord, space: Space) -> Figure:
     parts = variance[:, : space.dof], variance[:, space.dof :] / np.square(space.divisor)
     for axes, part, name in zip(panels, parts, style.NAMES, strict=True):
         axes.plot(time, np.sqrt(part.sum(1)), **(style.MODEL | {"lw": 1.2}))
-        axes.set_ylabel(f"believed σ of {headed(space, name)}")
+        axes.set_ylabel(f"σ of {headed(space, name)}")
         style.logarithmic(axes, 0)
-    panels[0].set_title(f"{space.name}: what the filter believes to know")
+    panels[0].set_title(f"{space.name}: standard deviations of the filter")
     panels[-1].set_xlabel(f"time [{unit}]")
     return figure
 

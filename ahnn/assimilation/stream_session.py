@@ -35,14 +35,16 @@ MANY = 0.05
 """Fraction of refused measurements that outliers alone seldom are."""
 REMEDIES = {
     "none": "Add lines",
-    "bad": "The lines above say what is wrong with them",
-    "late": "They are before the start: set epoch= and time=, at which it holds, or window=",
-    "ahead": "They are far behind the start: set epoch= and time=, at which it holds, or gap=",
-    "rejected": "Set start= and start_sd=, or epoch= and time=, at which it holds, or gate=",
-    "repeated": "They come twice: leave state= out or begin another",
+    "bad": "The lines above state the faults",
+    "late": "They precede the start: set its time= and epoch= of time zero, or window=",
+    "ahead": "They are too long after the start: set its time= and epoch= of time zero, or gap=",
+    "rejected": "Set start= and start_sd=, its time= and epoch= of time zero, or gate=",
+    "repeated": "They were already processed: leave state= out, or start over with a new one",
     "lost": "Their filters have failed: set start= and start_sd=, or gate=",
-    "unknown": "Their objects have no start: name the table of them, start=FILE, or one for all, start=[..]",
-    "predicted": "Their numbers are missing: fill the columns of the sensor, or set measurement=",
+    "unknown": "Their objects have no start: give a table of them, start=FILE, or one start for all, "
+    "start=[..]",
+    "fitted": "The start uses all of them: set fitted=N to use fewer",
+    "predicted": "Their values are missing: fill the columns of the sensor, or set measurement=",
 }
 """Remedies by the most frequent outcome, if no line was accepted."""
 
@@ -148,10 +150,10 @@ class StreamSession:
         if self.numbers < FEW:
             return ""
         mean, (low, high) = self.nis / self.numbers, band(1, self.numbers)
-        text = f"mean NIS of a number {mean:.3g}; {low:.3g} to {high:.3g} where a filter is consistent"
+        text = f"mean NIS per value {mean:.3g}; a consistent filter has {low:.3g} to {high:.3g}"
         if mean > high:
-            text += ": it trusts its model or the measurements too much, or took outliers (gate=)"
-        return text + (": it trusts them too little" if mean < low else "") + self._of_the_gate()
+            text += ": this one trusts its model or the measurements too much, or accepted outliers (gate=)"
+        return text + (": this one trusts them too little" if mean < low else "") + self._of_the_gate()
 
     def _of_the_gate(self) -> str:
         """Return a remark on the fraction of rejected measurements; "" if it is small."""
@@ -159,8 +161,8 @@ class StreamSession:
         fraction = refused / (refused + opened + self.counts["taken"])
         if not opened and fraction < MANY:
             return ""
-        times = f", and opened again {opened:,} times after too many in a row" if opened else ""
-        return f"; the gate refused {100 * fraction:.2g} % of the measurements{times}"
+        times = f", and reopened {opened:,} times after too many in a row" if opened else ""
+        return f"; the gate rejected {100 * fraction:.2g} % of the measurements{times}"
 
     def close(self) -> None:
         """Close the files; unsaved lines are processed again on resumption.
@@ -197,8 +199,8 @@ class StreamSession:
         if self.counts["taken"] or self.counts["reopened"] or asks:
             return
         most, count = max(self.counts.items(), key=lambda item: item[1], default=("none", 0))
-        received = f"{count:,} of {self.counts.total():,} {most}" if count else "no line behind the header"
-        message = f"measurements: expected one that counts; received {received}. {REMEDIES[most]}"
+        received = f"{count:,} of {self.counts.total():,} {most}" if count else "no line after the header"
+        message = f"measurements: expected at least one usable line; received {received}. {REMEDIES[most]}"
         raise TrainingError(message)
 
     def _output(self, known: Notes | None) -> Any:
@@ -248,14 +250,14 @@ class StreamSession:
             known = Notes(**content)
             self.counts = Counter({str(word): int(count) for word, count in known.counts.items()})
         except (KeyError, ValueError, TypeError) as error:
-            message = f"state: expected one of a stream; received {self.state} ({error})"
+            message = f"state: expected the state of a stream; received {self.state} ({error})"
             raise UserError(message) from error
         mine = {"format": self.rows.kind, CLOCK: self.clock and list(self.clock), **self.filter.begun}
         theirs = {"format": known.kind, CLOCK: known.clock, **known.begun}
         if changed := [key for key, value in mine.items() if theirs.get(key) != value]:
             message = (
-                f"{changed[0]}: expected that of {self.state}; received another. Go on with the same "
-                "command, or begin again with another state and output"
+                f"{changed[0]}: expected the value stored in {self.state}; received another. Repeat the "
+                "original command, or start over with a new state and output"
             )
             raise UserError(message)
         self.header, self.nis, self.numbers = known.header, known.nis, known.numbers
@@ -263,5 +265,5 @@ class StreamSession:
             self.layout = self._layout(self.header)
         self.lines.resume(known.lines, known.place, known.digest)
         self._count()
-        log.info("going on behind line %d", known.lines)
+        log.info("resuming after line %d", known.lines)
         return known

@@ -61,7 +61,7 @@ def benchmark(arguments: list[str], usage: str) -> None:
             one(training)
         return
     require_writable(Path(asked.output))
-    with ended(lambda: "the same command goes on where it was stopped"):
+    with ended(lambda: "repeat the command to resume"):
         failed = run(plan, asked)
     for name, task in chosen.items():
         show(table(name, task, scores_of(name, plan)))
@@ -99,7 +99,7 @@ def trainings(tasks: dict[str, FieldTask], asked: BenchmarkRequest) -> Iterator[
 
 
 def run(plan: list[DrawnTraining], asked: BenchmarkRequest) -> list[DrawnTraining]:
-    """Train what is not finished, each in a process of its own; return what failed."""
+    """Run the unfinished trainings, each in a separate process; return the failed ones."""
     done = sum(map(finished, plan))
     log.info("benchmark: %d trainings in %s, %d finished", len(plan), asked.output, done)
 

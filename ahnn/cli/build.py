@@ -118,7 +118,7 @@ def plain_config(cfg: Any, who: str = "configuration") -> dict[str, Any]:
         UserError: a value instead of keys.
     """
     if not isinstance(cfg, DictConfig):
-        message = f"{who}: expected keys with values; received {cfg!r}"
+        message = f"{who}: expected a mapping of keys to values; received {cfg!r}"
         raise UserError(message)
     return OmegaConf.to_container(cfg, resolve=True)  # pyright: ignore[reportReturnType]
 

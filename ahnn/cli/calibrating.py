@@ -28,7 +28,7 @@ OWN = ("plugins=none", "evaluation=scores", "logger=none")
 
 @dataclass(frozen=True)
 class CalibrationRequest:
-    """What a command asks for beside the training."""
+    """Options of the command other than those of the training."""
 
     draws: Count = 20
     spread: Annotated[float, Within(0, 1)] = 0.1
@@ -45,7 +45,7 @@ class CalibrationDraw(NamedTuple):
 
 
 def calibrate(arguments: list[str]) -> None:
-    """Train on what is not finished, and show and draw the test of all draws.
+    """Train the unfinished draws, and show and plot the test of all draws.
 
     Raises:
         UserError: a training that does not compose, or not one on measurements of a system.
@@ -68,7 +68,7 @@ def calibrate(arguments: list[str]) -> None:
         return ["ahnn.calibrate", *overrides, *here]
 
     log.info("calibrate: %d draws in %s, %d finished", len(plan), asked.output, sum(map(finished, plan)))
-    with ended(lambda: "the same command goes on where it was stopped"):
+    with ended(lambda: "repeat the command to resume"):
         failed = run_missing(plan, words, asked.jobs)
     if scores := [score(draw) for draw in plan if finished(draw)]:
         show(rank_table(scores))
@@ -88,7 +88,7 @@ def constants_of(overrides: list[str], spread: float, number: int) -> list[str]:
     source = build_source(cfg)
     if source.truth is None or build_sensor(cfg, source) is None:
         message = (
-            "calibrate: expected measurements of a system, drawn anew; received exact states or files. "
+            "calibrate: expected simulated measurements of a system; received exact states or files. "
             "Add sensor= or data.noise=, such as experiment=spring_noisy"
         )
         raise UserError(message)

@@ -64,7 +64,7 @@ def read(argv: Sequence[str]) -> Namespace:
 
 
 def _refuse(message: str) -> NoReturn:
-    text = f"command line: {message}; --help shows what there is"
+    text = f"command line: {message}; see --help"
     raise UserError(text)
 
 
@@ -198,7 +198,7 @@ def compose(loader: ConfigLoaderImpl, name: str, overrides: list[str]) -> DictCo
     except HydraException as error:
         groups = [text for text in overrides if loader.repository.group_exists(text.partition("=")[0])]
         if groups == overrides:
-            message = f"{' '.join(groups)}: these options do not go together; {first_line(error)}"
+            message = f"{' '.join(groups)}: these options are incompatible; {first_line(error)}"
             raise UserError(message) from error
         plain: Any = OmegaConf.to_container(compose(loader, name, groups))
         message = f"configuration: {first_line(error)}"
@@ -228,7 +228,7 @@ def check_additions(loader: ConfigLoaderImpl, overrides: Iterable[str]) -> None:
         )
         if text.startswith("+") and not read and not any(f"${{{key}" in other for other in overrides):
             known = {*signature(CommonSettings).parameters, *loader.list_groups("")}
-            message = f"{text!r}: expected a key that something reads{nearest_key(key, known)}"
+            message = f"{text!r}: expected a key that is used{nearest_key(key, known)}"
             raise UserError(message)
 
 
@@ -243,17 +243,17 @@ def check_recipe(cfg: DictConfig, overrides: Iterable[str]) -> None:
     if "stages" in (OmegaConf.select(cfg, "loss") or {}):
         if named:
             message = (
-                "window: expected none, since loss.stages says how long stretches are; received "
+                "window: expected none, since loss.stages sets the lengths of segments; received "
                 f"{named[-1]!r}. Set loss.stages, or choose a recipe for exact states, such as "
                 "recipe=second_order"
             )
             raise UserError(message)
     elif noise is not None and not any(text.startswith(NAMES_A_RECIPE) for text in overrides):
         message = (
-            "data.noise: expected a recipe that learns from measurements; received noise for one that takes "
-            "samples as exact. Use recipe=measurements, for whole states that come densely "
-            "recipe=noisy_states, on orbits recipe=dense_states, or an option of sensor, which brings its "
-            "own, sensor=recorded for files"
+            "data.noise: expected a recipe for noisy measurements; received noise with one for exact "
+            "samples. Use recipe=measurements, recipe=noisy_states for dense samples of whole states, "
+            "recipe=dense_states for those of orbits, or an option of sensor, which brings a recipe, "
+            "sensor=recorded for files"
         )
         raise UserError(message)
 
@@ -271,9 +271,9 @@ def check_potential(cfg: DictConfig, overrides: Iterable[str]) -> None:
     named = any(text.startswith(NAMES_A_RECIPE) for text in overrides)
     if meant and isinstance(stages[0][0], int) and not begun and not named:
         message = (
-            "recipe: expected one that learns a whole potential from positions of orbits; received none, and "
-            "the sensor's own ends far from the orbits. Use recipe=noisy_positions, or "
-            "hamiltonian=central_body where the central body is known"
+            "recipe: expected one that learns a whole potential from positions of orbits; received none, "
+            "and the sensor's default recipe does not find the orbits. Use recipe=noisy_positions, or "
+            "hamiltonian=central_body if the central body is known"
         )
         raise UserError(message)
 

@@ -66,11 +66,11 @@ def guard(entry: Callable[[], Any]) -> int:
         if of_configuration(error):  # some are OSErrors
             return report(configured(error))
         if isinstance(error, MemoryError) or NO_MEMORY.search(str(error)):
-            said = " ".join(str(error).split()) or "a request that the system refused"
-            return report(f"memory: expected a job that fits into it; received: {said}. Ask for less")
+            said = " ".join(str(error).split()) or "the system refused a request"
+            return report(f"memory: expected a job that fits; received: {said}. Reduce its size")
         if in_library(error):
             said = " ".join(f"{type(error).__name__}: {error}".split())
-            return report(f"environment: a library cannot be imported: {said}. Look at its variables")
+            return report(f"environment: a library cannot be imported: {said}. Check its variables")
         if not isinstance(error, OSError):
             raise
         if isinstance(error, BrokenPipeError):
@@ -93,7 +93,7 @@ def leave(code: int) -> NoReturn:
 def end(stop: BaseException) -> int:
     """Report what stopped the command and return the exit code."""
     known = stop if isinstance(stop, Stopped) else Stopped(signal.SIGINT)
-    return report(known if str(known) else known.saying("the same command starts again from the beginning"))
+    return report(known if str(known) else known.saying("repeating the command starts from the beginning"))
 
 
 def stop_behind(error: BaseException) -> BaseException | None:

@@ -18,7 +18,7 @@ from ahnn.cli.commandline import config_loader, parse
 from ahnn.errors import UserError
 
 ABOUT = """\
-Train a model of Hamiltonian dynamics and evaluate it beside its floors.
+Train a model of Hamiltonian dynamics and evaluate it.
 
 usage: python -m ahnn.train [GROUP=OPTION ...] [KEY=VALUE ...]
 
@@ -26,21 +26,22 @@ usage: python -m ahnn.train [GROUP=OPTION ...] [KEY=VALUE ...]
   python -m ahnn.train model=hnn system=molniya seed=201
   python -m ahnn.train experiment=molniya_mechanical budget=smoke
   python -m ahnn.train -m model=hnn,node seed=7,201       # four jobs, one table
-  python -m ahnn.train run=runs/mine ckpt=last            # resume a run
+  python -m ahnn.train model=hnn run=runs/mine ckpt=last  # resume
 
-Groups and their options, those of the plain command in [brackets]:
+Groups and their options, defaults in [brackets]:
 
 """
 MORE = """
 recipe, model, system, sweep and experiment choose options of other groups as
-well; what the command line names holds.
+well; the command line takes precedence.
 
+  ckpt=last             resume a run: repeat its whole command, and add this
   --help GROUP=OPTION   the keys of an option with their comments
-  --cfg job             keys and values of a command; --resolve computes them
+  --cfg job             configuration; --resolve resolves references
   -m                    several jobs: all combinations of KEY=A,B, or a sweep=
-  --config-dir DIR      options of your own: DIR/system/mine.yaml
+  --config-dir DIR      your own options: DIR/system/mine.yaml
   -sc install=bash      completion: eval "$(ahnn-train -sc install=bash)"
-  --hydra-help          what else Hydra offers
+  --hydra-help          further options of Hydra
 """
 COMPLETION = """\
 _ahnn_train() {

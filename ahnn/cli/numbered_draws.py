@@ -40,12 +40,12 @@ def finished(draw: NumberedDraw) -> bool:
 
 
 def score(draw: NumberedDraw) -> dict[str, Any]:
-    """Return what was written of a draw."""
+    """Return the stored result of a draw."""
     return read_json(draw.folder / SCORE)
 
 
 def run_missing(plan: Sequence[D], words: Callable[[D], list[str]], jobs: int) -> list[D]:
-    """Run what is not finished, each in a process of its own; return what failed.
+    """Run the unfinished draws, each in a separate process; return the failed ones.
 
     Args:
         plan: all draws.
@@ -65,7 +65,7 @@ def run_missing(plan: Sequence[D], words: Callable[[D], list[str]], jobs: int) -
         children.add(child)
         said = child.communicate()[1].decode(errors="replace").strip().splitlines()
         if child.returncode < SIGNALLED:  # who stopped it has said so
-            log.info("%s", said[-1] if said else f"{draw.folder}: ended without a word")
+            log.info("%s", said[-1] if said else f"{draw.folder}: ended without a message")
         return child.returncode == 0
 
     pool = ThreadPoolExecutor(jobs)
@@ -82,7 +82,7 @@ def run_missing(plan: Sequence[D], words: Callable[[D], list[str]], jobs: int) -
 
 @contextlib.contextmanager
 def appearing(folder: Path) -> Iterator[Path]:
-    """Yield a folder to write into, which appears whole under its name; raises Occupied in another's turn."""
+    """Yield a folder to write to, which appears under its name when complete; raises Occupied if in use."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     with claimed(folder.parent, f".{folder.name}.turn"), whole_folder(folder) as place:
         yield place

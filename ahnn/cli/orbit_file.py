@@ -34,7 +34,7 @@ def read_orbit(arguments: list[str], usage: str) -> OrbitRequest:
             put(values, key, value)
     folder = own.get("folder", paths[0].parent)
     if not folder.is_dir():
-        message = f"folder: expected that of the measurements; received {folder}"
+        message = f"folder: expected the folder of the measurements; received {folder}"
         raise UserError(message)
     return OrbitRequest(setup_of(values), folder, own.get("out"), paths[0].stem)
 

@@ -1,4 +1,4 @@
-"""From a command line with `orbit=FILE.yaml` to a stream that goes on where an orbit is determined."""
+"""From a command line with `orbit=FILE.yaml` to a stream that continues an orbit determination."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ def read_following(arguments: list[str], usage: str) -> Stream:
         key, _, below = text.partition("=")[0].partition(".")
         if key not in (*own, "plugins"):
             hint = nearest(key, [*own, "plugins"])
-            message = f"{key}: expected a key that goes with orbit=; received another{hint}"
+            message = f"{key}: expected a key that applies with orbit=; received another{hint}"
             raise UserError(message)
         chosen = filters if key == "plugins" else of_orbit if key == "orbit" and below else mine
         chosen.append(text.removeprefix("orbit.") if chosen is of_orbit else text)
     options = plain_config(composed("assimilate", mine))
     if foreign := [key for key in FOREIGN if options[key] not in (None, {})]:
-        message = f"{foreign[0]}: expected none beside orbit=, which says it; received {options[foreign[0]]}"
+        message = f"{foreign[0]}: expected none with orbit=, which sets it; received {options[foreign[0]]}"
         raise UserError(message)
     folder = [] if options["folder"] is None else [f"folder={options['folder']}"]
     orbit = read_orbit([options["orbit"], *folder, *of_orbit], usage)
@@ -88,7 +88,7 @@ def filter_of(overrides: list[str], gate: AskedGate) -> tuple[RecursiveEstimator
         noise = (0.0, 0.0)
     if not isinstance(noise, tuple | list):
         message = (
-            "process_noise: expected [POSITION,VELOCITY], km and km/s that a minute adds; received another"
+            "process_noise: expected [POSITION,VELOCITY], km and km/s added per minute; received another"
         )
         raise UserError(message)
     return with_gate(filters[0].estimator, filters[0], gate), (noise[0], noise[1])

@@ -137,7 +137,7 @@ def chosen_again(cfg: DictConfig, texts: list[str]) -> DictConfig:
             OmegaConf.update(cfg, key, value)
         elif key not in GROUPS:
             hint = nearest(key, [*known, *GROUPS])
-            message = f"{key}: expected a key that acts on a finished run and not on its training{hint}"
+            message = f"{key}: expected a key that applies to a finished run, not to its training{hint}"
             raise UserError(message)
     require_referenced([cfg], texts)
     return cfg

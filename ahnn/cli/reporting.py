@@ -26,7 +26,8 @@ def report(arguments: list[str], usage: str) -> None:
         raise UserError(message)
     if cfg.run is not None and not (Path(str(cfg.run)) / FILE).is_file():
         message = (
-            f"run={cfg.run}: expected one evaluated run; received no {FILE} there. Leave out run= for many"
+            f"run={cfg.run}: expected one evaluated run; received no {FILE} there. Leave out run= for "
+            "several runs"
         )
         raise UserError(message)
     folders = given or [Path(str(cfg.run))]

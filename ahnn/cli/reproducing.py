@@ -37,7 +37,7 @@ def reproduce(arguments: list[str], usage: str) -> None:
     log.info(made.announcement())
     sys.argv[1:] = ["--multirun", *made.overrides]
     try:
-        with ended(lambda: "the same command goes on where it was stopped"):
+        with ended(lambda: "repeat the command to resume"):
             start(one, "train")
     finally:  # after a failure the table of the others is still shown
         if made.finished():
@@ -61,5 +61,5 @@ def one(cfg: DictConfig) -> float:
             require_new(folder, cfg.ckpt)
             return train_once(cfg)
     except Occupied:
-        log.info("%s: another process works on it", folder.name)
+        log.info("%s: in use by another process", folder.name)
         return math.nan

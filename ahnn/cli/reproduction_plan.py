@@ -126,7 +126,7 @@ def require_same_settings(made: Plan) -> None:
             key, more = changed[0], f" and {len(changed) - 1} more" if len(changed) > 1 else ""
             message = (
                 f"run {made.folder}: expected the settings that {path.parent.name} was trained with, "
-                f"{key}={old.get(key)}{more}; received {key}={new.get(key)}. Name another folder with run="
+                f"{key}={old.get(key)}{more}; received {key}={new.get(key)}. Choose another folder with run="
             )
             raise UserError(message)
 

@@ -99,7 +99,7 @@ def check_keys(values: dict[str, Any], schemas: dict[str, type]) -> None:
     for who, schema in schemas.items():
         node = values[who] if who else values
         if not isinstance(node, dict):
-            message = f"{who}: expected keys with values; received {node!r}"
+            message = f"{who}: expected a mapping of keys to values; received {node!r}"
             raise UserError(message)
         shared = schema is not Evaluation
         own = {key: node[key] for key in signature(schema).parameters if key in node} if shared else node

@@ -15,11 +15,11 @@ AskedGate = float | Literal["none"] | None
 def with_gate(
     estimator: RecursiveEstimator[Any], plugin: object, asked: AskedGate
 ) -> RecursiveEstimator[Any]:
-    """Return an estimator with a gate that opens again; one that has none of its own comes back as it is.
+    """Return an estimator with a gate that reopens; one without a gate is returned unchanged.
 
     Args:
         estimator: of the plugin, with a gate where that is configured.
-        plugin: which says after how many refusals the gate opens.
+        plugin: plugin that sets the number of rejections after which the gate reopens.
         asked: of the stream; None takes that of the estimator, or the default.
 
     Raises:
@@ -27,7 +27,7 @@ def with_gate(
     """
     if not hasattr(estimator, "gated"):
         if asked is not None:
-            message = f"gate: expected null, as {type(estimator).__name__} takes no gate; received {asked}"
+            message = f"gate: expected null, as {type(estimator).__name__} has no gate; received {asked}"
             raise UserError(message)
         return estimator
     patience = getattr(plugin, "patience", Gate().patience)

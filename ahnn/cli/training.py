@@ -84,9 +84,10 @@ def train_once(cfg: DictConfig, source: Source | None = None, asked: Sequence[st
             seconds = fit(prepared)
         if not trainer.is_global_zero:
             return math.nan
-        with interruptible(trainer, lambda: f"evaluate it with python -m ahnn.evaluate run={folder}"):
-            from ahnn.jobs.closing import judge
+        from ahnn.jobs.closing import is_concluded, judge
 
+        evaluated = f"evaluate it with python -m ahnn.evaluate run={folder}"
+        with interruptible(trainer, lambda: evaluated if is_concluded(prepared) else go_on(cfg)):
             return judge(prepared, seconds)
 
 
@@ -95,9 +96,9 @@ def go_on(cfg: DictConfig) -> str:
     from ahnn.cli.parts import is_multirun
 
     if cfg.get("trial") is not None:
-        return "the same command continues the search"
+        return "repeat the command to continue the search"
     if not (Path(cfg.folder) / "checkpoints" / "last.ckpt").exists():
-        return "there is no checkpoint yet: the same command starts from the beginning"
+        return "there is no checkpoint yet: repeating the command starts from the beginning"
     one_of_several = HydraConfig.initialized() and cfg.folder != HydraConfig.get().runtime.output_dir
     seed = f" seed={cfg.seed} seeds=null" if one_of_several else ""
     seed += "" if cfg.weights is None else " weights=null"

@@ -48,10 +48,10 @@ def require_referenced(jobs: Iterable[DictConfig], texts: Iterable[str]) -> None
     for cfg in jobs:
         keys = unreferenced(cfg, keys)
     if keys:
-        raise without_effect(keys[0], "nothing that was chosen takes it")
+        raise without_effect(keys[0], "no chosen option uses it")
 
 
 def without_effect(key: str, reason: str) -> UserError:
     """Return the error for a key without effect."""
-    message = f"{key}: expected a key with an effect; received one that has none: {reason}. Leave it out"
+    message = f"{key}: expected a key with an effect; received one without: {reason}. Leave it out"
     return UserError(message)

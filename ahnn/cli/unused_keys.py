@@ -75,9 +75,13 @@ def unread_of_data(cfg: DictConfig, source: Source, sensor: Sensor | None) -> Un
     drawn = simulated or (sensor is not None and not isinstance(sensor, Recorded))
     yield from unless(
         ("data.trajectories", simulated, "these data are not simulated"),
-        ("data.seed", drawn, "nothing is drawn for these data"),
+        ("data.seed", drawn, "these data contain no random draws"),
         ("evaluation.seed", source.truth is not None, "starts are perturbed only in known systems"),
-        ("system.steps", cfg.system.get("periods") is None, "system.periods says how long trajectories are"),
+        (
+            "system.steps",
+            cfg.system.get("periods") is None,
+            "system.periods sets the duration of trajectories",
+        ),
     )
 
 
@@ -87,18 +91,18 @@ def unread_of_training(cfg: DictConfig, prepared: Prepared, *, several: bool) ->
     rolled = OmegaConf.select(cfg, "callbacks.rollout.count") != 0
     clipped = bool(cfg.trainer.get("gradient_clip_val"))
     derived = staged or cfg.loss.derivative > 0
-    measured = "windows of the loss take noise as it is: a recipe with loss.stages estimates it"
+    measured = "a loss on windows does not estimate noise; a recipe with loss.stages does"
     yield from unless(
         ("weights", cfg.ckpt is None or cfg.weights is None, "ckpt resumes a training from its own weights"),
-        ("seed", not several, "seeds says which ones"),
+        ("seed", not several, "seeds= replaces it"),
         ("scheduler", automatic or not cfg.scheduler, "second-order steps have no learning rate"),
         ("data.bias_sd", staged or cfg.data.get("bias_sd") is None, measured),
         ("data.correlation", staged or cfg.data.get("correlation") is None, measured),
         ("data.noise", staged or cfg.data.get("noise") != "estimate", measured),
-        ("optimizer.tolerance", not staged, "steps on measurements hold no part of a batch back"),
+        ("optimizer.tolerance", not staged, "steps on measurements use the whole batch"),
         ("loss.order", derived, "with loss.derivative=0 no derivatives are formed"),
         ("callbacks.rollout", not staged, "measurements have no true start to roll out from"),
-        ("callbacks.rollout.every", rolled, "callbacks.rollout.count=0 rolls out nothing"),
+        ("callbacks.rollout.every", rolled, "callbacks.rollout.count=0 disables rollouts"),
         ("trainer.gradient_clip_algorithm", clipped, "trainer.gradient_clip_val is not set"),
     )
 
@@ -112,8 +116,8 @@ def unread_of_plugins(nodes: DictConfig) -> Unread:
     """Yield filter keys made ineffective by another key."""
     for name, options in of_plugins(nodes):
         yield from unless(
-            (f"plugins.{name}.patience", options.get("gate", 0) is not None, "gate=null refuses nothing"),
-            (f"plugins.{name}.cadence", options.get("times") is None, "times says when measurements come"),
+            (f"plugins.{name}.patience", options.get("gate", 0) is not None, "gate=null rejects nothing"),
+            (f"plugins.{name}.cadence", options.get("times") is None, "times sets the times of measurements"),
         )
 
 
@@ -128,11 +132,11 @@ def unread_online(nodes: DictConfig, *, covariance: bool, named: bool = False) -
     yield from (found for found in unread_of_plugins(nodes) if not found[0].endswith(".patience"))
     noises = [options.get("process_noise") for _, options in of_plugins(nodes)]
     if named and not any(_is_fitted(noise, covariance=covariance) for noise in noises):
-        yield "measurement", "sensors.NAME says what each one measures"
+        yield "measurement", "sensors.NAME defines what each sensor measures"
     for name, options in of_plugins(nodes):
-        yield from ((f"plugins.{name}.{key}", "a stream is filtered, and no more") for key in EVALUATED)
+        yield from ((f"plugins.{name}.{key}", "a stream is only filtered") for key in EVALUATED)
         yield from (
-            (f"plugins.{name}.{key}", f"the sensors of a stream say it: measurement.{key}") for key in BIAS
+            (f"plugins.{name}.{key}", f"the sensors of a stream define it: measurement.{key}") for key in BIAS
         )
         if not _is_fitted(options.get("process_noise"), covariance=covariance):
             yield from ((f"plugins.{name}.{key}", "no process noise is fitted to data") for key in SIMULATED)

@@ -161,7 +161,9 @@ class WindowDataModule(LightningDataModule):
             )
             raise UserError(message)
         if self.emphasis:
-            message = f"data.emphasis: expected 0, since stretches are drawn alike; received {self.emphasis}"
+            message = (
+                f"data.emphasis: expected 0, since all segments are equally likely; received {self.emphasis}"
+            )
             raise UserError(message)
         self.stages, self.epochs = stages, epochs
 

@@ -68,7 +68,7 @@ def last_estimate(path: Path, space: Space) -> Last:
         for i, j in lower:
             covariance[i, j] = covariance[j, i] = float(row[f"{COVARIANCE}{names[i]}_{names[j]}"])
     except (KeyError, TypeError, ValueError, csv.Error) as error:
-        received = f"none of it ({error})" if row else "no row"
+        received = f"an invalid row ({error})" if row else "no row"
         message = f"start {path}: expected estimates of {', '.join(names)}; received {received}"
         raise UserError(message) from error
     said = sidecar.Sidecar()
@@ -84,13 +84,13 @@ def last_estimate(path: Path, space: Space) -> Last:
 
 
 def track_names(space: Space) -> tuple[str, ...]:
-    """Return the names of components in a track: velocities, and momenta only where they are none."""
+    """Return the names of components in a track: velocities, or momenta that are not mass times velocity."""
     names = space.components
     return (*names[: space.dof], *(f"v{q}" for q in names[: space.dof])) if space.mechanical else names
 
 
 def units_of(space: Space) -> dict[str, str]:
-    """Return the units of time and of what a track has as a sidecar has them."""
+    """Return the units of time and of the components of a track, as for a sidecar."""
     names, units = track_names(space), momentum_units(space)
     if not space.mechanical:
         return units

@@ -92,6 +92,23 @@ def check_trajectories(given: Trajectories, space: Space) -> Trajectories:
     return trajectories
 
 
+def check_states(given: Trajectories, dof: int) -> Trajectories:
+    """Validate trajectories of whole states, n = `dof`; return float64 states (B, T, 2n) and times (B, T).
+
+    Raises:
+        UserError: as for `check_trajectories`, or positions without momenta.
+    """
+    names = tuple(f"{letter}{k}" for letter in "qp" for k in range(dof))
+    trajectories = check_trajectories(given, Space("data", names))
+    if trajectories.states.shape[-1] != 2 * dof or not bool(trajectories.present.any()):
+        message = (
+            f"data: expected states [q, p] of {2 * dof} components, NaN where missing; received shape "
+            f"{tuple(trajectories.states.shape)}. Positions alone: ahnn.fit"
+        )
+        raise UserError(message)
+    return trajectories
+
+
 def check_controls(given: Trajectories, space: Space, times: Tensor) -> Tensor | None:
     """Validate controls; return float64, (B, T, m), or None for a space without controls.
 

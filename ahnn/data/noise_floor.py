@@ -20,8 +20,8 @@ FAR = 6.0
 """Standard deviations of a difference beyond which its central sample is excluded."""
 SHARE = 1e-4
 """Noise relative to increments above which objectives that compare windows learn the noise."""
-LOOKED_AT = 2**18
-"""Number of samples for medians accurate to half a per cent."""
+LOOKED_AT = 2**16
+"""Number of samples for medians accurate to one per cent."""
 SMALL, MEANS = 0.02, 0.25
 """Noise relative to a component's total motion that needs no test, and tolerance of the means."""
 TWICE = 2.0
@@ -153,18 +153,18 @@ def remark_on(samples: Tensor, times: Tensor, names: Sequence[str], stated: Tens
         typical = samples.diff(dim=1).abs().flatten(0, 1).nanmedian(0).values
         suspicious = (floor > SHARE * typical) & (typical > 0)
         advice = (
-            "which this loss learns. Say so: sensor=... (of files sensor=recorded), or data.noise=... with "
-            "recipe=measurements (recipe=noisy_states where whole states come densely)"
+            "which this loss would learn. Declare it: sensor=... (sensor=recorded for files), or "
+            "data.noise=... with recipe=measurements (recipe=noisy_states for dense samples of whole states)"
         )
     else:
         coloured = is_coloured(samples, times, floor)
         suspicious = (floor > TWICE * stated) | ((floor < stated / TWICE) & ~coloured)
-        advice = "data.noise says otherwise: check it, it weighs the measurements"
+        advice = "data.noise differs: check it, since it weights the measurements"
     levels = zip(names, floor.tolist(), suspicious.tolist(), strict=True)
     found = ", ".join(f"{name} {level:.2g}" for name, level, noisy in levels if noisy)
     if not found:
         return None
-    rare = "unless they come too rarely to tell"
+    rare = "unless they are too sparse to tell"
     return f"the samples seem to have noise of {found} (standard deviations), {rare}; {advice}"
 
 

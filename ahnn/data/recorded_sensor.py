@@ -1,4 +1,4 @@
-"""Sensor of recorded measurements, in place of simulated ones."""
+"""Sensor of recorded measurements, instead of simulated ones."""
 
 from __future__ import annotations
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import NamedTuple
 
-from ahnn.data.files.epochs import SECOND, instant, spelled
+from ahnn.data.files.epochs import DAY, SECOND, instant, leaps, spelled
 from ahnn.data.files.frame_names import INERTIAL, ROTATING, canonical, known
 from ahnn.data.files.frames import TO_TT
 from ahnn.errors import UserError
@@ -61,6 +62,13 @@ class Reference(NamedTuple):
         shift = round((TO_TT[self.clock] - TO_TT[clock]) * SECOND)
         return self._replace(clock=clock, epoch=self.epoch + shift)
 
+    def earth_angle(self) -> float:
+        """Return the Earth's rotation angle at the epoch in rad (IERS Conventions 2010, 5.15), UT1 as UTC."""
+        moment = self.on("UTC").epoch or 0
+        seconds = moment / SECOND - leaps(moment // SECOND // DAY)
+        days = seconds / DAY - 0.5  # since J2000.0
+        return math.tau * ((0.7790572732640 + 0.00273781191135448 * days + days % 1.0) % 1.0)
+
     def filled(self, other: Reference) -> Reference:
         """Fill missing fields from another reference; its epoch is converted to this time scale."""
         frame, center, clock = (mine or theirs for mine, theirs in zip(self[:3], other[:3], strict=True))
@@ -107,7 +115,7 @@ class Reference(NamedTuple):
         """
         body = ours.center or BODY
         if self.center and alias(self.center) != alias(body):
-            remedy = "Convert it" if ours.center else f"frame= or center= names {self.center} if it is right"
+            remedy = "Convert it" if ours.center else f"Set frame= or center= if {self.center} is right"
             message = f"{who}: expected centre {body}, that of the model; received {self.center}. {remedy}"
             raise UserError(message)
         wanted, given = alias(ours.frame), alias(self.frame)
@@ -117,7 +125,7 @@ class Reference(NamedTuple):
             return wanted
         if wanted or given.startswith(ROTATING):
             expected = f"frame {ours.frame}, that of the model" if wanted else "an inertial frame"
-            remedy = "Convert it" if wanted else "frame= names the frame of the model: GCRF, EME2000"
+            remedy = "Convert it" if wanted else "Set frame= to the frame of the model: GCRF, EME2000"
             message = f"{who}: expected {expected}; received {self.frame}. {remedy}"
             raise UserError(message)
         return None

@@ -77,16 +77,16 @@ class Sensor:
             raise UserError(message) from error
         if not isinstance(self.measurement, Locating):
             message = (
-                "data.measured: expected state, position, or a model with a method `locate`, from which "
-                f"starts can be guessed; received {type(self.measurement).__name__}"
+                "data.measured: expected state, position, or a model with a method `locate`, which gives "
+                f"initial guesses; received {type(self.measurement).__name__}"
             )
             raise UserError(message)
         measured_by: Any = self.measurement
         sizes = noise == "estimate"
         if sizes and self.draws:
             message = (
-                "data.noise: expected standard deviations of what is simulated; received estimate. It is for "
-                "recorded measurements: sensor=recorded"
+                "data.noise: expected standard deviations of what is simulated; received estimate. That "
+                "requires recorded measurements: sensor=recorded"
             )
             raise UserError(message)
         stated = 1.0 if isinstance(noise, str) else noise  # differences of the samples take their place

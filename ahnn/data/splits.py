@@ -11,7 +11,7 @@ from torch import Tensor
 from ahnn.data.fingerprints import recognised, remembered
 from ahnn.data.noise_floor import differences_level, looked_at
 from ahnn.data.sensor import Sensor
-from ahnn.data.sources import Source
+from ahnn.data.sources import Observed, Source
 from ahnn.errors import UserError
 from ahnn.measurements import Instrument, Observations
 from ahnn.statistics import sampling_interval
@@ -19,7 +19,7 @@ from ahnn.types import Trajectories
 
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
-SAME, OTHERS = "the test split of the training's data", "other trajectories than those of the training"
+SAME, OTHERS = "the test split of the training's data", "trajectories other than those of the training"
 
 
 class SplitData:
@@ -36,6 +36,7 @@ class SplitData:
         self.fractions = split
         check_fractions(split)
         self._parts: dict[Split, Trajectories] = {}
+        self._rows: dict[Split, slice] = {}
         self._measured: dict[Split, Observations] = {}
 
     def __getitem__(self, split: Split) -> Trajectories:
@@ -44,7 +45,8 @@ class SplitData:
             data = self.source.read()
             begin = 0
             for name, size in zip(SPLITS, split_sizes(len(data.states), self.fractions), strict=True):
-                self._parts[name] = data.part(slice(begin, begin + size))
+                self._rows[name] = slice(begin, begin + size)
+                self._parts[name] = data.part(self._rows[name])
                 begin += size
         return self._parts[split]
 
@@ -68,7 +70,7 @@ class SplitData:
         if known["recipe"] != recipe:
             if "files" in recipe and recipe["files"] == known["recipe"].get("files"):
                 message = (
-                    f"system: expected the training's files as it read them, {known['recipe']}; received "
+                    f"system: expected the training's files with its settings, {known['recipe']}; received "
                     f"{recipe}, whose test trajectories may be part of the training"
                 )
                 raise UserError(message)
@@ -79,9 +81,9 @@ class SplitData:
         then, now = (split_sizes(count, fractions) for fractions in (known["split"], self.fractions))
         if (part := then[0] + then[1] - now[0] - now[1]) > 0:
             message = (
-                f"split: expected test trajectories that the training has not seen; received "
-                f"{self.fractions}: {part} of {now[2]} are part of it. Keep the training's "
-                f"{known['split']}, or draw others with another seed"
+                "split: expected test trajectories that the training has not seen; received "
+                f"{self.fractions}: {part} of {now[2]} are among those seen. Keep the training's "
+                f"{known['split']}, or use another seed"
             )
             raise UserError(message)
         return "a part of the test split of the training's data"
@@ -92,18 +94,22 @@ class SplitData:
         if known := recognised(self["test"], seen):
             message = (
                 "test data: expected trajectories that the training has not seen; received "
-                f"{count}, of which {known} hold samples of its training or validation data. Keep the data "
-                "and the split of the training, or name others"
+                f"{count}, of which {known} contain samples of its training or validation data. Keep the "
+                "data and the split of the training, or use other data"
             )
             raise UserError(message)
-        what = "files that are others or changed since the training" if files else OTHERS
-        return what + (", none of whose test trajectories it saw" if seen else "")
+        what = "files that differ from those of the training" if files else OTHERS
+        return what + (", with test trajectories it never saw" if seen else "")
 
     def measured(self, split: Split) -> Observations:
         """Return the measurements of a split."""
         assert self.sensor is not None
         if split not in self._measured:
-            self._measured[split] = self.sensor.measure(self[split], SPLITS.index(split))
+            truth = self[split]
+            if isinstance(self.source, Observed):
+                self._measured[split] = self.source.observations().part(self._rows[split])
+            else:
+                self._measured[split] = self.sensor.measure(truth, SPLITS.index(split))
         return self._measured[split]
 
     def instrument(self) -> Instrument:
@@ -125,9 +131,9 @@ class SplitData:
         if not bool((level > 0).all()):
             names = zip(self.sensor.measurement.names, level.tolist(), strict=True)
             message = (
-                "data.noise: expected samples so dense that their differences show the noise to begin with; "
-                f"received others of {', '.join(name for name, sd in names if not sd > 0)}. Give standard "
-                "deviations"
+                "data.noise: expected samples dense enough for a first estimate of the noise from their "
+                f"differences; received sparser ones: {', '.join(name for name, sd in names if not sd > 0)}. "
+                "Give standard deviations"
             )
             raise UserError(message)
         return level
@@ -154,9 +160,9 @@ def split_sizes(count: int, fractions: list[float]) -> list[int]:
     if min(sizes) < 1:
         named = ", ".join(f"{name} {size}" for name, size in zip(SPLITS, sizes, strict=True))
         message = (
-            f"split: expected at least one trajectory in each; received {count} trajectories with fractions "
-            f"{fractions}, which makes {named}. Ask for more trajectories, or cut those "
-            "of files with system.cut"
+            f"split: expected at least one trajectory in each part; received {count} trajectories with "
+            "fractions "
+            f"{fractions}, which makes {named}. Use more trajectories, or cut those of files with system.cut"
         )
         raise UserError(message)
     return sizes

@@ -59,7 +59,7 @@ def covariances_of(
         return None
     found = [latest(one, moment, frame, path, earlier) for one, moment in zip(segments, moments, strict=True)]
     if None in found:
-        log.warning("start %s: its covariances are of other epochs than its states, and not used", path)
+        log.warning("start %s: its covariances belong to other epochs than its states and are not used", path)
         return None
     matrices, at = zip(*(one for one in found if one is not None), strict=True)
     return KnownCovariance(torch.from_numpy(np.stack(matrices)), list(at))
@@ -87,7 +87,7 @@ def axes_of(state: Array, frame: str, one: Ephemeris, path: Path) -> Array:
         return np.eye(6)
     if frame.upper() not in ALONG:
         expected = f"a covariance in {one.frame} or {ALONG[0]}"
-        message = f"start {path}: expected {expected}; received one in {frame}. start_sd= takes its place"
+        message = f"start {path}: expected {expected}; received one in {frame}. Set start_sd= instead"
         raise UserError(message)
     radial, normal = state[:3], np.cross(state[:3], state[3:])
     axes = np.stack((radial, np.cross(normal, radial), normal))

@@ -78,7 +78,7 @@ def starts(
     """
     path = Path(given).expanduser() if isinstance(given, str) else None
     if path is not None and not path.is_file():
-        reason = "no regular file" if path.exists() else "No such file"
+        reason = "not a regular file" if path.exists() else "No such file"
         message = f"start: expected numbers in brackets or a file; received {path}: {reason}"
         raise UserError(message)
     if path is None:
@@ -93,7 +93,7 @@ def starts(
     if sd is None:
         return found
     if found.covariances is not None:
-        log.warning("start_sd: in place of the covariance of %s", path)
+        log.warning("start_sd: replaces the covariance of %s", path)
     covariance = state_deviations(sd, space, "start_sd").square().diag()
     return found._replace(covariances=covariance.expand(len(found.states), -1, -1))
 
@@ -193,7 +193,7 @@ def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: 
         files, reference = read(frame), reference._replace(frame=frame)
     elif reference.frame and not ours.frame:
         log.warning(
-            "start %s: in %s; the model says no frame and is taken to be in it", path, reference.frame
+            "start %s: in %s; the model states no frame; the same one is assumed", path, reference.frame
         )
     order, factors = columns_of(files, space, path)
     clock = factor(files.space.units.time, space.units.time, path)
@@ -240,7 +240,8 @@ def columns_of(files: Files, space: Space, path: Path) -> tuple[list[int], Tenso
     if sorted(theirs) != sorted(names) or files.positions_only:
         alone, remedy = "", "Name the columns in a sidecar, docs/data.md"
         if files.positions_only:
-            alone, remedy = " alone", "The output of ahnn.assimilate on these positions is a start"
+            alone, remedy = " alone", "The output of ahnn.assimilate for these positions can be used as "
+            "a start"
         message = (
             f"start {path}: expected positions {', '.join(names)} and their velocities or momenta; received "
             f"{', '.join(theirs)}{alone}. {remedy}"
@@ -256,7 +257,7 @@ def factor(theirs: str, ours: str, path: Path) -> float:
     try:
         return 1.0 if theirs == "1" else units.factor(theirs, ours)
     except ValueError as error:
-        message = f"start {path}: expected numbers in {ours}, or a unit that fits it; received {theirs}"
+        message = f"start {path}: expected numbers in {ours}, or a compatible unit; received {theirs}"
         raise UserError(message) from error
 
 

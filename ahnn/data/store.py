@@ -125,7 +125,7 @@ def stored_in(path: Path) -> Trajectories | None:
     try:
         return read(path)
     except (SafetensorError, OSError, KeyError, ValueError) as error:
-        log.warning("data: %s is damaged (%s); it is generated again", path, error)
+        log.warning("data: %s is damaged (%s); it will be generated again", path, error)
         return None
 
 

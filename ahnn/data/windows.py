@@ -107,13 +107,13 @@ def on_clock(trajectories: Trajectories, count: int) -> Trajectories:
 def require_span(steps: int, longest: int) -> None:
     """Raise UserError for windows of no step, or longer than the longest segment of samples."""
     if longest < 1:
-        expected = "two samples in a row without a gap, for windows of steps"
-        message = f"data: expected {expected}; received {steps} steps, and none in a row"
+        expected = "at least two consecutive samples, for windows of steps"
+        message = f"data: expected {expected}; received {steps} steps, and no consecutive samples"
         raise UserError(message)
     if not 1 <= steps <= longest:
         message = (
-            f"window, loss.order: expected windows of 1 to {longest} steps, the longest stretch of samples "
-            f"without a gap; received {steps}. Shorten the windows, or set loss.derivative=0"
+            f"window, loss.order: expected windows of 1 to {longest} steps, the longest segment of "
+            f"samples without a gap; received {steps}. Shorten the windows, or set loss.derivative=0"
         )
         raise UserError(message)
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from ahnn.arguments import check_arguments
 from ahnn.dynamics.base import Dynamics, HasEnergy, HasField, has_field
-from ahnn.dynamics.fields import HamiltonianDynamics, NeuralODE
+from ahnn.dynamics.fields import HamiltonianDynamics, NeuralDynamics
 from ahnn.dynamics.generalised_hnn import GeneralisedHNN
 from ahnn.dynamics.henon_net import HenonNet
 from ahnn.dynamics.lagrangian import LagrangianDynamics
@@ -22,7 +22,7 @@ KINDS: Table[type[Dynamics]] = Table(
     "ahnn.dynamics",
     {
         "hamiltonian": HamiltonianDynamics,
-        "node": NeuralODE,
+        "node": NeuralDynamics,
         "map": NextState,
         "lagrangian": LagrangianDynamics,
         "sympnet": SympNet,
@@ -61,7 +61,7 @@ __all__ = [
     "HamiltonianDynamics",
     "HasEnergy",
     "HasField",
-    "NeuralODE",
+    "NeuralDynamics",
     "NextState",
     "has_field",
     "make_dynamics",

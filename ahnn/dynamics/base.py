@@ -6,8 +6,12 @@ import copy
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
+import torch
 from torch import Tensor, nn
 
+from ahnn.errors import UserError
+from ahnn.numbers import described
+from ahnn.rollouts import rollout
 from ahnn.statistics import Statistics
 from ahnn.types import TimeStep
 
@@ -23,10 +27,10 @@ class Dynamics(nn.Module, ABC):
 
     Attributes:
         spec: plain values from which `make_dynamics` builds the same module, weights apart.
-        assumes: what is taken as known of the dynamics; scores mean little without it.
+        assumes: what is assumed known about the dynamics, to be stated with every score.
         clock: k, clock coordinates of the states: 0, 1 for time, 1 + m for time and m controls.
         begins_known: whether fresh parameters are known physics alone, the learned part being zero.
-        anchored: whether it knows where the origin of the positions is, so that a bias of all readings shows.
+        anchored: whether it fixes the origin of the positions, so that a bias of all readings is detectable.
     """
 
     spec: dict[str, Any]
@@ -53,8 +57,37 @@ class Dynamics(nn.Module, ABC):
         return x
 
     def forward(self, x: Tensor, dt: TimeStep) -> Tensor:
-        """Propagate states x, shape (B, D), over dt; return (B, D)."""
+        """Propagate states x, shape (B, D), over dt, a number or (B,); return (B, D).
+
+        Raises:
+            UserError: other than a tensor of states along the last axis.
+        """
+        dof = getattr(self, "spec", {}).get("dof")
+        if not isinstance(x, Tensor) or (dof and x.shape[-1:] != (2 * (dof + self.clock),)):
+            components = f"{2 * (dof + self.clock)} components" if dof else "states"
+            message = (
+                f"dynamics: expected a tensor of {components} along the last axis; received {described(x)}"
+            )
+            raise UserError(message)
         return x + self.increment(x, dt)
+
+    def rollout(self, start: Tensor, steps: int, dt: TimeStep) -> Tensor:
+        """Return trajectories, shape (B, steps + 1, D), from states `start`, (B, D), which they begin with.
+
+        Gradients flow to all that require them; under `torch.no_grad` memory is saved.
+
+        Args:
+            start: (B, D) states.
+            steps: number of steps.
+            dt: step length, or (B, steps) of them.
+        """
+        return rollout(self, start, dt, steps + 1, gradients=torch.is_grad_enabled())
+
+    def __repr__(self) -> str:
+        options = [
+            f"{k}={v!r}" for k, v in vars(self).get("spec", {}).items() if k != "kind" and v is not None
+        ]
+        return f"{type(self).__name__}({', '.join(options)})" if options else super().__repr__()
 
     def frozen(self) -> Dynamics:
         """Return a float64 copy without gradients, for evaluation and filters."""

@@ -235,8 +235,7 @@ class CentralBody(nn.Module):
             mu = ((attraction * rate).sum(-1) / attraction.square().sum(-1)).median()
             if not mu > 0:
                 message = (
-                    "hamiltonian central_body: expected an attraction; received data "
-                    f"that give mu={float(mu):.3g}"
+                    f"hamiltonian central_body: expected an attraction; received data with mu={float(mu):.3g}"
                 )
                 raise UserError(message)
             self.log_mu.data.copy_(mu.log())

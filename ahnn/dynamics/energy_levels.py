@@ -32,7 +32,7 @@ def coordinate_energies(statistics: Statistics) -> Tensor:
 
 
 def levels(energies: Tensor) -> Tensor:
-    """Return for each energy, shape (n,), the largest one of those that are alike, in units of the first."""
+    """Return for each energy, shape (n,), the largest one of similar size, in units of the first."""
     relative = energies / energies.max()
     found, top = torch.ones_like(relative), 1.0
     for k in relative.argsort(descending=True).tolist():
@@ -47,7 +47,7 @@ def divide_units(network: Network, inputs: Iterable[InputMap], statistics: Stati
 
     Args:
         network: with fresh weights, which are scaled.
-        inputs: maps of which the network sees the outputs, one behind the other.
+        inputs: maps whose concatenated outputs are the inputs of the network.
         statistics: of the training split.
     """
     entering = levels(coordinate_energies(statistics))
@@ -63,7 +63,7 @@ def divide_units(network: Network, inputs: Iterable[InputMap], statistics: Stati
 
 
 def energies_of(inputs: InputMap, energies: Tensor) -> Tensor | None:
-    """Return the energy behind each output of an input map; None where outputs mix coordinates."""
+    """Return the energy of the coordinate of each output of an input map; None if outputs mix coordinates."""
     if isinstance(inputs, Angles):
         turning = energies[inputs.turning]
         return torch.cat((turning, turning, energies[inputs.straight]))
@@ -79,7 +79,7 @@ def scale(parameter: Tensor, unit: Tensor) -> None:
 
 
 def units_of(parameters: Iterable[Tensor]) -> Tensor | None:
-    """Return the units of some parameters, one behind the other, shape (P,); None where all are 1."""
+    """Return the units of some parameters, concatenated, shape (P,); None if all are 1."""
     every = [*parameters]
     if not any(hasattr(parameter, "unit") for parameter in every):
         return None

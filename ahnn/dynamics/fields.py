@@ -80,7 +80,7 @@ class IntegratedField(Dynamics):
 
 
 @final
-class NeuralODE(IntegratedField):
+class NeuralDynamics(IntegratedField):
     """Neural ordinary differential equation (Chen et al. 2018).
 
     Args:

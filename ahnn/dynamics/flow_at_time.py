@@ -57,8 +57,9 @@ class Bound(NamedTuple):
         """Return the clock of states (B, 2n); raises UserError for unknown controls."""
         if clock_of(self.flow) > 1 and self.controls is None:
             message = (
-                "flow: expected forces of state and time in an estimator; received some of controls. "
-                "`ahnn.dynamics.flow_at_time.steered` makes them known"
+                "flow: expected forces that depend only on state and time in an estimator; received some "
+                "that depend on controls. "
+                "`ahnn.dynamics.flow_at_time.steered` supplies the controls"
             )
             raise UserError(message)
         if isinstance(self.time, Tensor):
@@ -91,7 +92,7 @@ def of_members(values: Tensor, count: int) -> Tensor:
     if values.ndim == 1:
         return values.expand(count, -1)
     if count % len(values):
-        message = f"steered: expected states of {len(values)} members, as controls have; received {count}"
+        message = f"steered: expected states of {len(values)} members, as in the controls; received {count}"
         raise UserError(message)
     return values.repeat_interleave(count // len(values), dim=0)
 

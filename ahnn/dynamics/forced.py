@@ -83,7 +83,7 @@ class Forced(nn.Module):
         return any(force.potential(at) is None for force in self.parts)
 
     def fit(self, statistics: Statistics) -> None:
-        """Set all constants from the training split: what is learned, from what known forces leave."""
+        """Set all constants from the training split; known forces are subtracted for the learned parts."""
         left = statistics
         if self.known:
             at = Instant(
@@ -115,7 +115,8 @@ class Forced(nn.Module):
         if z.shape[-1] != 2 * (self.dof + self.clock):
             needed = "time and controls" if self.clock > 1 else "time"
             message = (
-                f"dynamics: expected {needed} beside the states, on which forces depend; received none. "
+                f"dynamics: expected {needed} in addition to the states, since forces depend on it; "
+                "received none. "
                 "`run.rollout` takes start_time and controls"
             )
             raise UserError(message)

@@ -23,10 +23,11 @@ from ahnn.integrators.tableaus import EULER
 def applies(activation: Activation, x: Tensor) -> bool:
     """Return whether all tensors are plain and the activation has kernels.
 
-    Function transforms (torch.func), graph capture and autocast need elementary operations.
+    Function transforms (torch.func), graph capture, autocast and meta tensors need elementary operations.
     """
     return (
         activation.kernels is not None
+        and not x.is_meta
         and not torch.compiler.is_compiling()
         and not torch._C._are_functorch_transforms_active()
         and not torch.is_autocast_enabled(x.device.type)

@@ -7,9 +7,10 @@ needs a single backward pass, and evaluation needs no autograd and works under `
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
-from typing import Protocol, cast
+from typing import Any, Protocol, cast
 
 import torch
 from torch import Tensor, nn
@@ -51,6 +52,14 @@ class Network(nn.Module, ABC):
     activation: Activation
     hidden: nn.ModuleList
     output: nn.Linear
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Network:
+        """Return a copy; torch drops attributes of parameters, such as units (`energy_levels`)."""
+        made = memo[id(self)] = type(self).__new__(type(self))
+        vars(made).update(copy.deepcopy(vars(self), memo))
+        for own, other in zip(self.parameters(), made.parameters(), strict=True):
+            vars(other).update(copy.deepcopy(vars(own), memo))
+        return made
 
     def forward(self, z: Tensor) -> Tensor:
         """Return the outputs, shape (..., outputs), at the inputs z, shape (..., inputs)."""

@@ -113,7 +113,7 @@ class Increment:
         """Return the requested result, (B, D), and the concatenated gradients.
 
         Raises:
-            MemoryError: no memory for a block of members.
+            MemoryError: not enough memory for a block of members.
         """
         x, h, out = self.x, self.h, torch.empty_like(self.x)
         sums = x.new_empty(len(self.parts), 0 if v is None else sum(t.numel() for t in self.tensors))
@@ -128,7 +128,7 @@ class Increment:
             if self.library.ahnn_increment(
                 len(x[part]), *fixed, *read, kept, out[part].data_ptr(), sums[k].data_ptr()
             ):
-                message = "training: no memory for a block of members"
+                message = "training: not enough memory for a block of members"
                 raise MemoryError(message)
 
         each(work, range(len(self.parts)), x.device)

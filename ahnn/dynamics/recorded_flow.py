@@ -20,7 +20,7 @@ from torch.nn.utils import vector_to_parameters
 
 from ahnn.compiled_libraries import followed
 from ahnn.dynamics.base import Dynamics
-from ahnn.dynamics.fields import HamiltonianDynamics, NeuralODE
+from ahnn.dynamics.fields import HamiltonianDynamics, NeuralDynamics
 from ahnn.dynamics.next_state import NextState
 from ahnn.dynamics.transition import transition
 from ahnn.integrators.explicit import ExplicitRungeKutta
@@ -48,7 +48,7 @@ def _fixed(flow: Flow) -> bool:
     """Return whether a flow consists of dynamics with data-independent operations."""
     if clock_of(flow) > 1:  # controls
         return False
-    if isinstance(flow, HamiltonianDynamics | NeuralODE):
+    if isinstance(flow, HamiltonianDynamics | NeuralDynamics):
         return isinstance(flow.integrator, ExplicitRungeKutta | SymmetricComposition)
     return isinstance(flow, NextState)
 
@@ -59,6 +59,9 @@ class _Recorded:
     def __init__(self, flow: Flow) -> None:
         self.flow, self.clock = flow, clock_of(flow)
         self._known: dict[torch.Size, Callable[[Tensor, Tensor], Tensor]] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"flow": self.flow, "_known": {}}  # recordings cannot be copied, and are made again
 
     def transition(self, x: Tensor, dt: TimeStep) -> tuple[Tensor, Tensor]:
         """Return the states (B, D) after dt, and the state transitions (B, D, D)."""

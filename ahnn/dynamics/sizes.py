@@ -34,9 +34,7 @@ def fillable(state: Mapping[str, Tensor]) -> Iterator[None]:
             return
         tensors, numbers = tensors - 1, numbers - tensor.numel()
         if tensors < 0 or numbers < 0:
-            message = (
-                f"dynamics: expected sizes that the {len(state)} tensors beside them fill; received larger"
-            )
+            message = f"dynamics: expected sizes that match the {len(state)} tensors; received larger ones"
             raise UserError(message)
 
     hooks = [

@@ -59,13 +59,16 @@ def jacobians_of_steps(dynamics: Dynamics, dtype: torch.dtype = torch.float32) -
     return jacobians
 
 
-def own_jacobians(dynamics: Dynamics) -> Callable[[Tensor, Tensor], Tensor]:
-    """Return (states (B, N, D), lengths (B, N)) -> Jacobians of steps (B, N, D, D), in float32.
+def own_jacobians(
+    dynamics: Dynamics, dtype: torch.dtype = torch.float32
+) -> Callable[[Tensor, Tensor], Tensor]:
+    """Return (states (B, N, D), lengths (B, N)) -> Jacobians of steps (B, N, D, D), computed in `dtype`.
 
     Args:
         dynamics: dynamics with the parameters to use.
+        dtype: of the Jacobians.
     """
-    return partial(jacobians_of_steps(dynamics), parameters_to_vector(dynamics.parameters()).detach())
+    return partial(jacobians_of_steps(dynamics, dtype), parameters_to_vector(dynamics.parameters()).detach())
 
 
 def mapped_jacobians_of_steps(dynamics: Dynamics, dtype: torch.dtype = torch.float32) -> StepJacobians:

@@ -61,7 +61,8 @@ def learned_noise(
     if not float(first.detach()) < LOST or not first.requires_grad:
         what = "no gradient" if not first.requires_grad else "lost members"
         message = (
-            f"learned_noise: expected a filter that keeps all members, and gradients, at the guess; received "
+            "learned_noise: expected a filter that follows all members, with gradients, at the initial "
+            "guess; received "
             f"{what}; begin with more noise, and pass gradients=True"
         )
         raise UserError(message)

@@ -130,7 +130,7 @@ def _read(path: Path) -> Weights:
 def _refusal(path: Path | str, reason: object) -> str:
     return (
         f"path: expected a file written by save_state, of this version; received {path} ({reason}). "
-        "Begin again with another state"
+        "Start over with another state"
     )
 
 
@@ -150,7 +150,7 @@ def _check(parts: dict[str, Any], like: EstimatorState | None) -> None:
         if not right or bool(((part < least) | (part > most)).any()):
             message = (
                 f"{name}: expected finite {dtype} of shape {shape}, from {least:g} to {most:g}; received "
-                f"{part.dtype} {tuple(part.shape)}, or numbers beyond"
+                f"{part.dtype} {tuple(part.shape)}, or values out of range"
             )
             raise ValueError(message)
 

@@ -85,8 +85,8 @@ def _try(measurement: Any, system: System, time: float) -> None:
     mass = getattr(measurement, "mass", system.inertia)
     if mass != system.inertia:
         message = (
-            f"measurement: expected {type(measurement).__name__} with mass={system.space.mass:g}, "
-            f"that of the system, whose momenta it reads; received mass={mass:g}"
+            f"measurement: expected {type(measurement).__name__} with mass={system.space.mass:g}, the "
+            f"mass of the system, whose momenta it reads; received mass={mass:g}"
         )
         raise UserError(message)
     expected = (1, len(measurement.names))
@@ -140,7 +140,7 @@ def near_system(truth: System | None, beside: System | None, space: Space) -> Sy
     if (system := truth or beside) is None:
         message = (
             f"system: expected one whose equations are known; received data of {space.name}. "
-            "Use python -m ahnn.assimilate, which filters measurements and needs none"
+            "Use python -m ahnn.assimilate, which filters measurements without known equations"
         )
         raise UserError(message)
     return system

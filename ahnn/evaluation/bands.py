@@ -51,14 +51,14 @@ class Band(NamedTuple):
     def sentence(self, space: Space) -> str:
         """Return the finding as a note under the table."""
         return (
-            f"its bands of 1, 2 and 3 standard deviations hold {percent(self.coverage)} % of unseen states "
+            f"bands of 1, 2 and 3 standard deviations contain {percent(self.coverage)} % of unseen states "
             f"({self.test.sentence()}); "
             f"the error is {self.efficiency[0]:.2f} (position) and {self.efficiency[1]:.2f} "
-            f"({quantity(space, 'velocity')[0]}) of the noise bound"
+            f"({quantity(space, 'velocity')[0]}) times the noise bound"
         )
 
     def verdict(self) -> str:
-        """Return whether the bands are right, for the verdict; "" where too few directions tell."""
+        """Return whether the bands are right, for the verdict; "" with too few independent directions."""
         told = self.test.verdict
         found = f"bands of the prediction are {told}: errors are {self.test.scatter:.2f} standard deviations"
         return "" if "few" in told else found

@@ -50,8 +50,8 @@ class Worth(NamedTuple):
         others = f"persistence {amount(self.persistence)}{linear}"
         if self.worthless:
             return (
-                f"WORTHLESS: relative error {amount(self.model)} of the spread of the data, as without "
-                f"a model ({others}). Train longer, or take another model"
+                f"WORTHLESS: relative error {amount(self.model)} of the spread of the data, no better "
+                f"than without a model ({others}). Train longer, or use another model"
             )
         return f"relative error {amount(self.model)} of the spread of the data ({others})"
 

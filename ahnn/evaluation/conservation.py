@@ -56,11 +56,11 @@ class Trend(NamedTuple):
         """Return the finding in words; "" without a trend."""
         if not self.found:
             return ""
-        per = "in a unit of time" if unit == "1" else f"per {unit}"
+        per = "per unit of time" if unit == "1" else f"per {unit}"
         verb, remedy = ("lose", "forces=friction") if self.rate < 0 else ("gain", "forces=network")
         return (
-            f"the data {verb} {in_percent(abs(self.rate))} of their energy {per}, and a Hamiltonian alone "
-            f"conserves it: add {remedy}"
+            f"the data {verb} {in_percent(abs(self.rate))} of their energy {per}, which a Hamiltonian "
+            f"alone conserves: add {remedy}"
         )
 
 
@@ -85,8 +85,9 @@ class TimeTest(NamedTuple):
         if not self.found:
             return ""
         return (
-            f"{in_percent(self.common)} of what the model misses is common to all trajectories at one time: "
-            "a force of time acts, and the model has none: add forces=forcing, or forces=network with "
+            f"{in_percent(self.common)} of the model error is common to all trajectories at a given "
+            "time: a time-dependent force is missing from the model; add forces=forcing, or "
+            "forces=network with "
             "model.forces.network.sees=[q,v,t]"
         )
 

@@ -42,7 +42,7 @@ def evaluation_folder(run: Path, name: str | None = None) -> Iterator[Path]:
         own_folder(parent)
         folder = _dated(parent) if name is None else _made(parent / name)
     except OSError as error:
-        message = f"{parent}: expected a place for a new folder; received: {error.strerror}"
+        message = f"{parent}: expected a writable folder; received: {error.strerror}"
         raise UserError(message) from error
     with claimed(folder):
         require_unfinished(folder)  # another process may have finished it in the meantime

@@ -59,7 +59,7 @@ class ForceBound(NamedTuple):
         second, _ = quantity(space, "velocity")
         return (
             f"the error from the true start is {self.efficiency[0]:.3g} (position) and "
-            f"{self.efficiency[1]:.3g} ({second}) of the bound of the true force with unknown "
+            f"{self.efficiency[1]:.3g} ({second}) times the bound for the true force with unknown "
             f"{', '.join(self.constants)} and starts"
         )
 

@@ -34,12 +34,12 @@ class Forecast(NamedTuple):
     Attributes:
         coverage: shares of the measured numbers ahead within 1, 2 and 3 standard deviations.
         width: these standard deviations, rms, in those of the noise; near 1 little else was tested.
-        parameters: what the parameters have of the variances of states ahead, on average.
+        parameters: mean fraction of the variance of forecast states due to the parameters.
         states: the same shares of the components of true states; None where these are not known.
-        right: least and largest share of states ahead that right bands hold in the middle 95 % of draws.
+        right: range of the coverage of calibrated bands, the middle 95 % of draws.
         lost: trajectories whose first half no start fits, which do not count in the others.
         trajectories: how many were tried.
-        outliers: share of the measured numbers ahead that were taken for outliers and left out.
+        outliers: fraction of the measured values that were excluded as outliers.
         single: errors of the last true state of the first trajectory, in standard deviations.
     """
 
@@ -58,14 +58,14 @@ class Forecast(NamedTuple):
         text = (
             f"forecasts of the second half of {self.trajectories - self.lost} unseen trajectories from the "
             f"first: bands of 1, 2 and 3 standard deviations, rms {self.width:.3g} times those of the noise, "
-            f"hold {percent(self.coverage)} % of the measured numbers"
+            f"contain {percent(self.coverage)} % of the measured values"
         )
         if self.states is not None:
             text += (
                 f" and {percent(self.states)} % of the true states ({right_bands(self.states, self.right)})"
             )
-        text += f"; the parameters have {in_percent(self.parameters)} of the variance of a state"
-        text += f"; {in_percent(self.outliers)} left out as outliers" if self.outliers else ""
+        text += f"; the parameters contribute {in_percent(self.parameters)} of the variance of a state"
+        text += f"; {in_percent(self.outliers)} excluded as outliers" if self.outliers else ""
         return text + (f"; first halves not fitted: {self.lost}" if self.lost else "")
 
     def verdict(self) -> str:
@@ -191,8 +191,8 @@ def imagined(columns: int) -> Tensor:
 def held(off: Tensor, sd: Tensor) -> Tensor:
     """Return how many of n errors (n, DRAWS), with deviations (n, 1), each draw has within bands, (3, DRAWS).
 
-    Errors of one training move together: where nearly all of them are one direction, a right band holds
-    nearly all or few.
+    Errors of one training are correlated: if nearly all lie along one direction, a calibrated band contains
+    nearly all of them or few.
     """
     return torch.stack([(off.abs() <= k * sd).sum(0) for k in SIGMAS])
 
@@ -210,7 +210,7 @@ def right_bands(shares: tuple[float, ...], right: tuple[tuple[float, float], ...
     ends = ", ".join(f"{100 * low:.3g} to {100 * high:.3g}" for low, high in right)
     low, high = right[1]
     verdict = "too narrow" if shares[1] < low else "too wide" if shares[1] > high else "right"
-    return f"right ones {ends} % in 19 draws of 20: {verdict}"
+    return f"calibrated bands {ends} % in 19 of 20 draws: {verdict}"
 
 
 def first_halves(segment: Segment) -> Tensor:

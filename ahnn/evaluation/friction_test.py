@@ -52,7 +52,7 @@ class FrictionTest(NamedTuple):
         """Return the finding in words; "" without additional friction."""
         if not self.found:
             return ""
-        per = "in a unit of time" if unit == "1" else f"per {unit}"
+        per = "per unit of time" if unit == "1" else f"per {unit}"
         verb, remedy = ("decay", "forces=friction") if self.rate > 0 else ("grow", "forces=network")
         return (
             f"momenta {verb} by {in_percent(abs(self.rate))} {per} beyond the model, which has "

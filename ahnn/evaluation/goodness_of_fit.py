@@ -57,18 +57,18 @@ class Explained(NamedTuple):
     def sentence(self) -> str:
         """Return the finding as a note under the table."""
         if self.lost == self.trajectories:
-            return f"from no start does it meet the measurements of any of {self.lost} unseen trajectories"
+            return f"no initial state fits the measurements of any of {self.lost} unseen trajectories"
         low, high = self.band
         text = (
-            f"it leaves {self.chi_square:#.4g} of the noise's variance in unseen measurements "
-            f"(1 to within {low - 1:+.1g} and {high - 1:+.1g}), "
-            f"residuals in a row correlate by {self.correlation:+.1g}"
+            f"residuals of unseen measurements have {self.chi_square:#.4g} times the noise variance (1 "
+            f"within {low - 1:+.1g} and {high - 1:+.1g}), successive residuals correlate by "
+            f"{self.correlation:+.1g}"
         )
-        text += f"; {in_percent(self.outliers)} left out as outliers" if self.outliers else ""
+        text += f"; {in_percent(self.outliers)} excluded as outliers" if self.outliers else ""
         if self.halved_steps is not None and abs(self.halved_steps - self.chi_square) > (high - low) / 2:
             text += (
-                f"; in steps of half the length it leaves {self.halved_steps:#.4g}: the integrator's own "
-                "error shows beside the noise, one of higher order has less"
+                f"; with steps of half the length {self.halved_steps:#.4g} times: the integrator's error "
+                "is not negligible beside the noise; use one of higher order"
             )
         return text + (
             f"; {self.lost} of {self.trajectories} trajectories not explained" if self.lost else ""

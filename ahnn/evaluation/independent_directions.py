@@ -53,10 +53,10 @@ class DirectionTest(NamedTuple):
     def sentence(self) -> str:
         """Return the finding in words."""
         low, high = self.right
-        found = f"along {self.directions} independent directions errors are {self.scatter:.2f} of them"
+        found = f"errors along {self.directions} independent directions are {self.scatter:.2f} deviations"
         if self.verdict.startswith("too few"):
             return f"{found}: {self.verdict}"
-        return f"{found}, right ones {low:.2f} to {high:.2f} in 19 trainings of 20: {self.verdict}"
+        return f"{found}, with calibrated bands {low:.2f} to {high:.2f} in 19 of 20 trainings: {self.verdict}"
 
     def numbers(self) -> dict[str, object]:
         """Return plain values for metrics.json."""

@@ -47,7 +47,7 @@ def uniformity(values: Sequence[float]) -> float:
 
 
 def rank_table(scores: Sequence[Score]) -> str:
-    """Return a line for each quantity, and what all draws together say."""
+    """Return a line for each quantity, and the conclusion from all draws."""
     lines = [f"  {'ranks of one trajectory':<26}{'draws':>7}{'mean':>8}{'uniform, p':>12}"]
     every = {name: (uniformity(values), values) for name, values in ranks(scores).items()}
     for name, (p, values) in every.items():

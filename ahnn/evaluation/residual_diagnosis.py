@@ -57,8 +57,8 @@ def invisible(dynamics: nn.Module, segment: Segment, noise: NoiseEstimate | None
     if not direct or getattr(dynamics, "anchored", True) or (noise is not None and noise.bias):
         return ""
     return (
-        "a constant bias of the readings would not show: the learned functions move with them; bands leave "
-        "it out unless data.bias_sd says how large it may be"
+        "a constant bias of the readings would go unnoticed, since the learned functions shift with it; "
+        "bands exclude it unless data.bias_sd gives its standard deviation"
     )
 
 
@@ -80,7 +80,7 @@ def verdicts(found: ResidualTests, names: tuple[str, ...], interval: float, robu
         )  # wrong dynamics increase residuals beyond the noise, never decrease them
         return [
             *larger,
-            f"{share} of what is left follows from the state: the model misses a part of the motion",
+            f"{share} of the residual variance depends on the state: the model misses part of the motion",
         ]
     said = [f"{size} (data.noise=estimate finds it)" for size in _sizes(found.scale, names)]
     if bool(coloured.any()):
@@ -88,7 +88,7 @@ def verdicts(found: ResidualTests, names: tuple[str, ...], interval: float, robu
     said += _biases(found, names, coloured)
     if robust == "none" and float(found.tails.max()) > FEW and bool((found.tails * pairs > 2).any()):
         outliers = in_percent(float(found.tails.max()))
-        said.append(f"{outliers} of the numbers are outliers, which loss.robust=student weighs down")
+        said.append(f"{outliers} of the values are outliers, which loss.robust=student downweights")
     return said
 
 
@@ -113,9 +113,9 @@ def _colour(found: ResidualTests, names: tuple[str, ...], coloured: Tensor, inte
     memory = -interval / float(correlation[coloured].max().log())
     each = _listed(zip(names, correlation.tolist(), coloured.tolist(), strict=True))
     return (
-        f"the noise is coloured: neighbours correlate by {each} (a memory of about {memory:.2g}), and bands "
-        f"are up to {widening:.2g} times too narrow; data.correlation=estimate counts it, and in filters "
-        "measurement.bias_memory describes it"
+        f"the noise is coloured: successive values correlate by {each} (correlation time about "
+        f"{memory:.2g}), and bands are up to {widening:.2g} times too narrow; data.correlation=estimate "
+        "accounts for it, and measurement.bias_memory in filters"
     )
 
 
@@ -137,7 +137,7 @@ def _biases(found: ResidualTests, names: tuple[str, ...], coloured: Tensor) -> l
     if bool(spreads.any()):
         each = _listed(zip(names, found.spread.tolist(), spreads.tolist(), strict=True)).replace("+", "")
         said.append(
-            f"each trajectory has a bias of its own: {each} standard deviations of the noise; in filters "
-            "measurement.bias_sd estimates it"
+            f"each trajectory has its own bias: {each} standard deviations of the noise; "
+            "measurement.bias_sd estimates it in filters"
         )
     return said

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -48,6 +49,14 @@ class Results(NamedTuple):
     def row(self, who: Who) -> Row | None:
         """Return the row of a given identity, or None."""
         return next((row for row in self.rows if row.who == who), None)
+
+    def __str__(self) -> str:
+        from ahnn.evaluation.score_table import results_table
+
+        return results_table(self)
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(str(self))}</pre>"
 
 
 def load_results(folder: Path | str) -> Results:
@@ -167,7 +176,7 @@ def _row(row: Mapping[str, Any]) -> Row:
 
 def _text(value: Any) -> str:
     if not isinstance(value, str):
-        message = f"expected a text, received {value!r}"
+        message = f"expected a string, received {value!r}"
         raise TypeError(message)
     return value
 

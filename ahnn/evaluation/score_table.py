@@ -38,7 +38,7 @@ def results_table(results: Results, *, detail: bool = False) -> str:
 
     Args:
         results: results of the evaluation.
-        detail: whether all notes, pooled errors and those of each component follow, in place of the verdict.
+        detail: whether to add all notes, pooled errors and errors per component instead of the verdict.
     """
     head = f"{results.label} on {results.space.name}" + (f": {results.assumes}" if results.assumes else "")
     lines = table_lines(results.rows, results.label)
@@ -142,11 +142,11 @@ def _explanations(results: Results) -> Iterator[str]:
     yield from _wrapped("RMSE over unseen trajectories: mean over trajectories of the rms vector norm.")
     floors = dict.fromkeys(title(row.who, results.label) for row in results.rows if row.who.floor)
     if floors:
-        yield from _wrapped(f"floor: what perfect knowledge scores there ({'; '.join(floors)}).")
+        yield from _wrapped(f"floor: score of perfect knowledge ({'; '.join(floors)}).")
     if any(row.who.start == "fitted" for row in results.rows):
         yield from _wrapped(
-            "fitted start: from where the model meets the measurements best; errors are the differences from "
-            "them and hold their noise."
+            "fitted start: initial state that best fits the measurements; errors are differences from "
+            "the measurements and include their noise."
         )
     if any(row.who.span == "settled" for row in results.rows):
         yield from _wrapped("settled: scores from the first update on.")

@@ -57,8 +57,8 @@ def seeds_table(runs: list[Results]) -> Iterator[str]:
         floors = (scores(runs, estimator, *column, floor=True) for column in COLUMNS)
         yield "  floor".ljust(width) + "".join(f"{cell(values[:1]):>{CELL}}" for values in floors)
     yield from textwrap.wrap(
-        "RMSE over unseen trajectories, mean over trajectories of the rms vector norm: its mean over the "
-        "seeds, and their standard deviation in percent of it. floor: perfect knowledge.",
+        "RMSE over unseen trajectories, mean over trajectories of the rms vector norm: mean over the "
+        "seeds ± standard deviation in percent. floor: score of perfect knowledge.",
         WIDTH,
     )
 

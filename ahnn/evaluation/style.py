@@ -5,6 +5,7 @@ The colours are those of Okabe & Ito (2008); line styles differ too, for print w
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -79,9 +80,17 @@ def reference(case: Case) -> str:
     return "test data" if case.truth is None else "truth"
 
 
+class ShownFigure(Figure):
+    """Figure that notebooks show, also where pyplot is not imported."""
+
+    def _repr_png_(self) -> bytes:
+        self.savefig(content := io.BytesIO(), format="png")
+        return content.getvalue()
+
+
 def canvas(width: float, height: float) -> Figure:
     """Return an empty figure of a size in inches."""
-    return Figure(figsize=(width, height), layout="constrained")
+    return ShownFigure(figsize=(width, height), layout="constrained")
 
 
 def label_time(axes: Any, axis: Axis) -> None:

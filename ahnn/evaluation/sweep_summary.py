@@ -36,7 +36,7 @@ def sweep_table(folder: Path, jobs: list[Path]) -> Table:
         missing = ["-"] * (len(TRAINING) + len(QUANTITIES) - 1)
         cells = [*missing, "no scores"] if values is None else values
         table.add_row(job.name, _overrides(job), *cells, style="red" if values is None else None)
-    table.caption = "W: steps of the loss; losses of different W do not compare. Scores: true start."
+    table.caption = "W: steps of the loss; losses of different W are not comparable. Scores: true start."
     table.caption_justify = "left"
     return table
 

@@ -68,7 +68,8 @@ class Stream(NamedTuple):
         reference: reference of the estimates.
         name: name of the tracked object.
         controls: names of the model's controls.
-        followed: measurements of an orbit determination, in place of lines elsewhere.
+        followed: measurements of an orbit determination, used instead of lines.
+        fitted: number of the last line to which the start was fitted.
     """
 
     asked: AssimilationRequest
@@ -79,6 +80,7 @@ class Stream(NamedTuple):
     name: str
     controls: tuple[str, ...] = ()
     followed: FollowedMeasurements | None = None
+    fitted: int = 0
 
 
 def require_places(options: AssimilationRequest) -> None:
@@ -95,7 +97,9 @@ def require_places(options: AssimilationRequest) -> None:
     places = options.output, options.state, options.states, options.oem
     given = [Path(path).resolve() for path in places if path]
     if len({*given}) < len(given):
-        message = "assimilate: expected an output, a state and others of their own; received one path twice"
+        message = (
+            "assimilate: expected different paths for output, state and other files; received one path twice"
+        )
         raise UserError(message)
     require_own(_made_at_the_end(options), "assimilate")
 
@@ -105,7 +109,7 @@ def require_together(options: AssimilationRequest) -> None:
     if options.objects is None:
         for key in ("states", "shard"):
             if (value := getattr(options, key)) is not None:
-                message = f"{key}: expected objects=COLUMN beside it; received {key}={value} alone"
+                message = f"{key}: expected objects=COLUMN with it; received {key}={value} alone"
                 raise UserError(message)
         return
     one = {key: getattr(options, key) for key in ("figures", "oem", "object", "controls", "lag")}

@@ -46,8 +46,8 @@ def check(paths: Sequence[Path], figures: Path | None, options: dict[str, Any]) 
         faults += len(found.faults)
     if faults:
         what = "1 fault that would" if faults == 1 else f"{faults} faults that would"
-        purpose = "mislead an orbit" if not others else "spoil a training"
-        message = f"check: expected sound data; received {what} {purpose}"
+        purpose = "spoil an orbit determination" if not others else "spoil a training"
+        message = f"check: expected valid data; received {what} {purpose}"
         raise UserError(message)
 
 

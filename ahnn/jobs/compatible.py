@@ -33,7 +33,7 @@ def check_together(prepared: Prepared) -> None:
         )
         raise UserError(message)
     if data.source.space.controls and model.dynamics.clock < 2:
-        what = "the controls %s of the data push nothing in this model: forces=controls takes them"
+        what = "the controls %s of the data have no effect in this model; forces=controls uses them"
         log.warning(what, ", ".join(data.source.space.controls))
     if model.curriculum.span is not None:
         data.require_span(model.curriculum.span, model.dynamics.clock)

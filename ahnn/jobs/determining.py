@@ -84,7 +84,7 @@ def determine(asked: OrbitRequest) -> None:
 
 
 def fit_or_mistake(ready: PreparedOrbit) -> OrbitFit:
-    """Return the fit of a problem; raises TrainingError with what was likely mistaken where there is none."""
+    """Return the fit of a problem; raises TrainingError with suspected mistakes if there is none."""
     try:
         return orbit_fit(ready.problem)
     except TrainingError as error:
@@ -105,7 +105,7 @@ def headline(title: str, fit: OrbitFit) -> list[str]:
     return [
         f"{name}: {count} measurements of {stations} over {hours:.1f} h, {free} unknowns, {ended} in "
         f"{fit.steps} steps",
-        "residuals, measured less predicted:",
+        "residuals, measured minus predicted:",
     ]
 
 
@@ -178,7 +178,7 @@ def compared(ready: PreparedOrbit, arc: SatelliteArc, path: Path) -> list[str]:
     times = (content.epoch - data.epoch) / epochs.SECOND + second * np.asarray(track.times)
     inside = (times >= arc.first) & (times <= arc.last)
     if not inside.any():
-        message = f"compare: expected an orbit of the time of the measurements; received {path} of another"
+        message = f"compare: expected an orbit that covers the measurements; received {path}, which does not"
         raise UserError(message)
     states, turns = arc.states(times[inside]), ready.rotation.matrices(times[inside])
     theirs = np.einsum("tji,tj->ti", turns, scale * np.asarray(track.values)[inside, :3])

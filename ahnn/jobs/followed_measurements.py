@@ -26,8 +26,8 @@ class FollowedMeasurements:
         data: all, those that were fitted before among them.
         rows: which are followed, (N,) bool.
         names: of all that is estimated.
-        beside: what else to say of what is known at a time in the end.
-        told: by station and kind times, innovations and their standard deviations.
+        beside: function of a time that returns further estimates to report at the end.
+        told: times, innovations and their standard deviations, by station and kind.
     """
 
     data: TrackingData
@@ -79,7 +79,7 @@ class FollowedMeasurements:
             rows.append(ResidualRow(name, KINDS[kind], *numbers, float(np.sqrt(np.mean(sd**2))), bias))
         others = [name for name in self.names[SIZE:] if not name.startswith(("bias ", "learned "))]
         return [
-            "innovations, measured less predicted, beside the noise of both:",
+            "innovations, measured minus predicted, compared with the noise of both:",
             *table_lines(rows),
             *(f"  {name} {known[name][0]:.6g} ± {known[name][1]:.2g}" for name in others),
             *self.beside(moments.mean[0].numpy(), time),

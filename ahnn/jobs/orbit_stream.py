@@ -1,4 +1,4 @@
-"""An orbit determination that goes on line by line: its forces, stations and biases in a filter."""
+"""An orbit determination continued line by line: its forces, stations and biases in a filter."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class OrbitFollowing(NamedTuple):
 
 
 def orbit_stream(asked: AssimilationRequest, orbit: OrbitFollowing) -> Stream:
-    """Return the stream of measurements that goes on where an orbit is known.
+    """Return the stream of measurements that continues from a known orbit.
 
     Raises:
         UserError: an invalid file or option.
@@ -142,7 +142,7 @@ def fitted_start(
     """Fit the first measurements; return the problem, the belief at the last of them, and the others.
 
     Raises:
-        UserError: it is not said how many.
+        UserError: the number to fit is not given.
         TrainingError: no fit.
     """
     setup, folder = orbit.setup, orbit.folder
@@ -173,8 +173,8 @@ def fitted_count(wanted: float | None, held_out: float, count: int, *, whole: bo
     """
     if wanted is None and not (held_out or whole):
         message = (
-            "fitted: expected how many measurements are fitted before the others are followed, a number or a "
-            "fraction; received none, and no orbit.held_out"
+            "fitted: expected the number or fraction of measurements to fit before the others are "
+            "filtered; received none, and no orbit.held_out"
         )
         raise UserError(message)
     chosen = 1 - held_out * (not whole) if wanted is None else wanted

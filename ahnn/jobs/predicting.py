@@ -8,10 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ahnn.arguments import Finite, Positive
-from ahnn.data.reference import Reference
-from ahnn.data.starts import referred, starts
-from ahnn.errors import UserError
 from ahnn.evaluation.terminal import show
+from ahnn.jobs.asked_starts import asked_starts
 from ahnn.jobs.control_times import moments_of
 from ahnn.jobs.named import named_runs
 from ahnn.prediction import durations, output, together
@@ -48,13 +46,7 @@ def predict(asked: PredictionRequest) -> None:
     """
     runs = named_runs(asked.run, asked.pretrained, asked.ckpt)
     space, clock = runs[0].space, runs[0].space.units.time
-    named = ", ".join(asked.frame) if isinstance(asked.frame, list) else asked.frame or ""
-    ours = Reference.of(space.frame).chosen(Reference.of(named)).since(asked.epoch)
-    begin = starts(asked.start, space, ours, sd=asked.start_sd)
-    if asked.epoch is not None and begin.reference.epoch is not None:
-        message = f"epoch: expected none, since the file of the start has its own; received {asked.epoch}"
-        raise UserError(message)
-    begin = referred(begin, ours)
+    begin = asked_starts(asked.start, asked.start_sd, asked.epoch, asked.frame, space)
     total = durations.duration(asked.duration, "duration", clock)
     step = runs[0].dt if asked.step is None else durations.duration(asked.step, "step", clock)
     times = durations.grid(total, step)
@@ -89,7 +81,7 @@ def predict(asked: PredictionRequest) -> None:
         output.draw(Path(asked.figure), found, space, title)
     show(summary(found, begin, space, title))
     if known is not None and not runs[0].uncertainty:
-        what = "the start" if len(runs) == 1 else "the start and of what the runs differ by"
-        log.warning("1 sigma: that of %s; how well the dynamics are known these weights do not say", what)
+        what = "the start" if len(runs) == 1 else "the start and the differences between the runs"
+        log.warning("1 sigma: from %s only; these weights carry no uncertainty of the dynamics", what)
     if remark := warning(found, begin, space):
         log.warning(remark)

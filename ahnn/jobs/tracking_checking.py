@@ -67,8 +67,10 @@ def _days(path: Path) -> tuple[str, str]:
 
 def _table(path: Path, data: TrackingData, series: list[SeriesSurvey]) -> RenderableType:
     """Format a table of stations, kinds, times and numbers of measurements."""
-    whose = f"satellite {data.object}" if data.object else "a satellite that it does not name"
-    head = f"{path.name}: {len(data.times)} measurements of {whose}, by times of {EVENTS[data.event]} in UTC"
+    whose = f"satellite {data.object}" if data.object else "an unnamed satellite"
+    head = (
+        f"{path.name}: {len(data.times)} measurements of {whose}, with times of {EVENTS[data.event]} in UTC"
+    )
     table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
     for name in ("station", "kind", "count", "passes", "from", "to", "longest gap"):
         table.add_column(name, justify="left" if name in ("station", "kind", "from", "to") else "right")
@@ -95,8 +97,8 @@ def _findings(path: Path, data: TrackingData, series: list[SeriesSurvey]) -> lis
     found = [Finding("note", str(path), 0, "", one, "Nothing") for one in data.remarks]
     for one in series:
         for places, what, remedy in (
-            (one.outliers, "far from its neighbours", "Leave it out, if residuals say so too"),
-            (one.impossible, "the range changes faster than a satellite moves", "Look at time and range"),
+            (one.outliers, "far from its neighbours", "Leave it out if its residuals confirm it"),
+            (one.impossible, "the range changes faster than a satellite can move", "Check time and range"),
         ):
             for k in np.asarray(places)[:LISTED]:
                 text = f"{one.station} at {_spelled(data, float(one.times[k]))[:19]}: {what}"

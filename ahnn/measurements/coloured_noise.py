@@ -2,7 +2,7 @@
 
 The noise of a component, in its standard deviations, is w + c: white noise of variance 1 - f, and first-order
 Gauss-Markov noise of variance f, which correlates by exp(-t / memory) (Tapley, Schutz & Born 2004, section
-4.9). Filters have c as states of their own (`ahnn.estimation.sensor_error`). A scalar Kalman filter of c in
+4.9). Filters estimate c as additional states (`ahnn.estimation.sensor_error`). A scalar Kalman filter of c in
 each row makes white residuals of coloured ones: innovations over their standard deviations. Its gains depend
 on times alone, so that whitening is a linear map, lower triangular in time.
 """

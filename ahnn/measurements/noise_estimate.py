@@ -60,14 +60,14 @@ class NoiseEstimate:
     prior_sd: list[NonNegative]
 
     def applied(self, instrument: Instrument, unknown: UnknownNoise) -> Instrument:
-        """Return the instrument with what was unknown of its noise, nothing of it unknown any more.
+        """Return the instrument with its noise completed by the estimates.
 
         Raises:
             UserError: the estimate is of another number of columns.
         """
         size = len(instrument.deviations)
         if any(values and len(values) != size for values in asdict(self).values()):
-            message = f"noise: expected estimates of {size} numbers beside the weights; received {self}"
+            message = f"noise: expected estimates of {size} numbers with the weights; received {self}"
             raise UserError(message)
         deviations, fractions, memories, bias = (
             torch.tensor(part, dtype=torch.float64)
@@ -90,7 +90,7 @@ class NoiseEstimate:
         said = list[str]()
         if self.stated:
             each = [
-                f"{name} {found:.3g} {unit} ({found / stated:.2g} of what it began with)"
+                f"{name} {found:.3g} {unit} ({found / stated:.2g} times the initial value)"
                 for name, unit, found, stated in zip(names, units, self.deviations, self.stated, strict=True)
             ]
             said.append(f"standard deviations of the noise, estimated from residuals: {', '.join(each)}")
@@ -114,7 +114,7 @@ class NoiseEstimate:
         )
         filters = zip(("sd", "bias_sd", "bias_memory"), (white, slow, [one[3] for one in found]), strict=True)
         texts = [f"measurement.{key}=[{','.join(f'{v:.3g}' for v in values)}]" for key, values in filters]
-        said = f"the noise correlates in time: {', '.join(each)}, which the fit counts"
+        said = f"the noise correlates in time: {', '.join(each)}, which the fit takes into account"
         return f"{said}; in filters {' '.join(texts)}"
 
     def _biases(self, names: tuple[str, ...], units: tuple[str, ...]) -> list[str]:
@@ -132,7 +132,7 @@ class NoiseEstimate:
         said = [f"biases of the readings, estimated with the dynamics: {', '.join(told)}"] if told else []
         if open_:
             said.append(
-                f"the bias of {', '.join(open_)} cannot be told from the motion: the learned functions move "
-                "with it, and bands contain the standard deviation that was given"
+                f"the bias of {', '.join(open_)} cannot be separated from the motion: the learned "
+                "functions shift with it, and bands include the standard deviation given"
             )
         return said

@@ -60,7 +60,7 @@ class AbstractModel(LightningModule, ABC):
         super().__init__()
         if loss.get("derivative") and dynamics.clock > 1:
             message = (
-                "loss.derivative: expected 0 with controls, whose jumps no difference of samples crosses; "
+                "loss.derivative: expected 0 with controls, whose jumps prevent differences of samples; "
                 f"received {loss['derivative']}. Use loss=recursive"
             )
             raise UserError(message)
@@ -105,7 +105,7 @@ class AbstractModel(LightningModule, ABC):
     def objective(self) -> Objective:
         """Objective of the current epoch, or of the first without a trainer."""
         if self._trainer is None:
-            return self.curriculum.at(0, 1)
+            return self.curriculum.phases[0].objective
         return self.curriculum.at(self.current_epoch, self.trainer.max_epochs or 1)
 
     def forward(self, x: Tensor, dt: TimeStep) -> Tensor:

@@ -108,12 +108,13 @@ def controls_of(controls: Numbers | None, count: int, size: int, starts: int) ->
     given = None if controls is None else as_float64(controls, "controls")
     shapes = ((count, size), (starts, count, size))
     if (given is None) != (size == 0) or (given is not None and tuple(given.shape) not in shapes):
-        expected = f"shape ({count}, {size}), or one for each start before it" if size else "None: none acts"
+        expected = f"shape ({count}, {size}), or one such array per start" if size else "None, since no "
+        "force depends on controls"
         received = "None" if given is None else f"shape {tuple(given.shape)}"
         message = f"controls: expected {expected}; received {received}"
         raise UserError(message)
     if given is not None and not bool((given.abs() <= LARGEST).all()):
-        message = f"controls: expected finite numbers up to {LARGEST:g}; received others"
+        message = f"controls: expected finite numbers up to {LARGEST:g}; received larger or non-finite ones"
         raise UserError(message)
     return given
 

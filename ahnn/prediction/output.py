@@ -41,7 +41,7 @@ def require_output(path: Path, starts: Starts, space: Space) -> None:
 def require_other(path: Path, start: Path) -> None:
     """Raise UserError if a prediction would overwrite its own start."""
     if path.exists() and start.exists() and path.samefile(start):
-        message = f"output: expected another file than the start; received {path} for both"
+        message = f"output: expected a file other than the start; received {path} for both"
         raise UserError(message)
 
 

@@ -8,26 +8,22 @@ its parameter covariance implies.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
-from torch.nn.utils import parameters_to_vector
 
-from ahnn.clock import Clock, extended, reduced_jacobians
+from ahnn.clock import Clock
 from ahnn.deviations import require_finite
 from ahnn.dynamics import Dynamics, HasField
-from ahnn.dynamics.derivatives import field_jacobian
-from ahnn.dynamics.variations import own_jacobians
 from ahnn.errors import TrainingError, UserError
 from ahnn.memory import require_memory
+from ahnn.prediction.followed_path import FollowedPath, Knowledge, PathRows
 from ahnn.progress import track
-from ahnn.rollouts import stepped
-from ahnn.shooting.path_sensitivities import Steps, in_quarters, path, sensitivities, steps_between
+from ahnn.shooting.path_sensitivities import Steps, path, steps_between
 from ahnn.shooting.quadrature import coarse
-from ahnn.uncertainty import Domain, growth
+from ahnn.types import in_short
 
 CELLS = 4e6
 """Size limit of the largest sensitivity tensor; longer paths are propagated in segments."""
@@ -51,6 +47,9 @@ class Prediction(NamedTuple):
     covariances: Tensor | None = None
     novelty: Tensor | None = None
 
+    def __repr__(self) -> str:
+        return in_short(self)
+
     @property
     def deviations(self) -> Tensor | None:
         """Standard deviations of the states, (B, T, D)."""
@@ -59,26 +58,6 @@ class Prediction(NamedTuple):
     def at(self, chosen: Tensor, times: Tensor) -> Prediction:
         """Return selected samples, (K,), with given times."""
         return Prediction(times, *(None if part is None else part[:, chosen] for part in self[1:]))  # pyright: ignore[reportArgumentType]
-
-
-class Knowledge(NamedTuple):
-    """Uncertainty information on learned dynamics and starts.
-
-    Attributes:
-        spread: factor (P, R) of the covariance of the parameters, or None.
-        domain: training domain, or None.
-        start: factor (D, D) or (B, D, D) of the covariance of the starts, or None for exact starts.
-    """
-
-    spread: Tensor | None = None
-    domain: Domain | None = None
-    start: Tensor | None = None
-
-    @property
-    def columns(self) -> int:
-        """Number of columns of the factor of a state's covariance; 0 if unknown."""
-        of_starts = 0 if self.start is None else self.start.shape[-1]
-        return of_starts + (0 if self.spread is None else self.spread.shape[1])
 
 
 @torch.no_grad()
@@ -110,120 +89,67 @@ def predicted(
     (count, size), samples = start.shape, len(times)
     numbers = count * samples * size * (size + 3) + float(times[-1] - times[0]) / longest
     require_memory("times", "predicted states", 8.0 * numbers)
+    return Prediction(
+        times, *_followed(FollowedPath(dynamics, known), start, times, longest, description, clock)
+    )
+
+
+@torch.no_grad()
+def prediction_factors(
+    dynamics: Dynamics, start: Tensor, times: Tensor, longest: float, known: Knowledge
+) -> tuple[Tensor, Tensor]:
+    """Return predicted states (T, D) and factors (T, D, R) of their covariances, both float64.
+
+    The R causes are independent with unit variance: first those of the parameters, then those of the start.
+
+    Args:
+        dynamics: float64 dynamics.
+        start: (D,) state at the first of the times.
+        times: (T,) increasing.
+        longest: maximum integrator step.
+        known: uncertainty information, of the start at least.
+
+    Raises:
+        UserError: as `predicted`.
+    """
+    require_times(times)
+    require_finite(start)
+    require_memory("times", "sensitivities of states", 8.0 * len(times) * len(start) * known.columns)
+    path = FollowedPath(dynamics, known, factors=True)
+    states, factors, _ = _followed(path, start.unsqueeze(0), times, longest)
+    assert factors is not None
+    return states[0], factors[0]
+
+
+def _followed(
+    paths: FollowedPath,
+    start: Tensor,
+    times: Tensor,
+    longest: float,
+    description: str | None = None,
+    clock: Clock | None = None,
+) -> PathRows:
+    """Return the rows of a path at given times, computed in segments."""
     steps = steps_between(times.unsqueeze(0), longest)
-    quartered = known.spread is not None and needs_quarters(dynamics, start, steps)
+    paths.quartered = paths.known.spread is not None and needs_quarters(paths.dynamics, start, steps)
     wanted = torch.zeros(int(steps.ends[-1]) + 1, dtype=torch.bool)
     wanted[steps.ends] = True
-    cells = count * size * max(known.columns, 1) * (4 if quartered else 1)
-    stretch = max(1, min(int(CELLS // cells), TOGETHER // count))
+    cells = start.numel() * max(paths.known.columns, 1) * (4 if paths.quartered else 1)
+    stretch = max(1, min(int(CELLS // cells), TOGETHER // len(start)))
     lengths = steps.lengths[0]
     along = None if clock is None else clock.along(lengths, steps.ends)
     parts = list(torch.arange(len(lengths)).split(stretch))
-    paths = _Path(dynamics, known, quartered)
     rows = [paths.begin(start)]
     for part in track(parts, description, len(parts)) if description else parts:
         own = None if along is None else along.steps(part)
         rows.append(paths.follow(lengths[part], own).at(wanted[1:][part]))
-    return Prediction(times, *_Rows.joined(rows))
+    return PathRows.joined(rows)
 
 
 def needs_quarters(dynamics: Dynamics, start: Tensor, steps: Steps) -> bool:
     """Return whether the first `TOGETHER` steps from starts (B, D) are too long for the trapezoidal rule."""
     lengths = steps.lengths[:, :TOGETHER].expand(len(start), -1)
     return coarse(cast(HasField, dynamics).field, path(dynamics.increment, start, lengths), lengths)
-
-
-class _Rows(NamedTuple):
-    """States (B, N, D), covariances (B, N, D, D) and novelty (B, N)."""
-
-    states: Tensor
-    covariances: Tensor | None
-    novelty: Tensor | None
-
-    def at(self, chosen: Tensor) -> _Rows:
-        """Return selected samples."""
-        states, *others = (None if part is None else part[:, chosen] for part in self)
-        assert states is not None
-        return _Rows(states, *others)
-
-    @classmethod
-    def joined(cls, rows: Sequence[_Rows]) -> _Rows:
-        """Concatenate segments."""
-        columns = zip(*rows, strict=True)
-        states, *others = (None if column[0] is None else torch.cat(column, dim=1) for column in columns)
-        assert states is not None
-        return cls(states, *others)
-
-
-class _Path:
-    """Current states of a batch of paths, with sensitivities to start and parameters."""
-
-    def __init__(self, dynamics: Dynamics, known: Knowledge, quartered: bool) -> None:
-        self.dynamics, self.known, self.quartered = dynamics, known, quartered
-        if known.columns:
-            self.jacobians = own_jacobians(dynamics)
-        if known.spread is not None:
-            self.theta = parameters_to_vector(dynamics.parameters()).detach()
-            self.field_columns = field_jacobian(dynamics)  # pyright: ignore[reportArgumentType]
-
-    def begin(self, start: Tensor) -> _Rows:
-        """Set the starts (B, D) and return them as rows."""
-        self.x, size, states = start, start.shape[1], start.unsqueeze(1)
-        moved = start.new_zeros(len(start), size, self.known.columns)
-        if self.known.start is not None:
-            moved[..., -size:] = self.known.start
-        self.moved = moved.float()
-        return _Rows(states, self._covariances(moved.unsqueeze(1)), self._novelty(states))
-
-    def follow(self, lengths: Tensor, clock: Clock | None = None) -> _Rows:
-        """Take steps of lengths (N,) with a clock at their start, and return the rows after each."""
-        states = torch.stack([self.x, *self._steps(lengths, clock)], dim=1)
-        novelty = self._novelty(states)
-        self.x = states[:, -1]
-        later = None if novelty is None else novelty[:, 1:]
-        if not self.known.columns:
-            return _Rows(states[:, 1:], None, later)
-        moved = self._columns(states, lengths.expand(len(states), -1), novelty, clock)
-        self.moved = moved[:, -1]
-        return _Rows(states[:, 1:], self._covariances(moved[:, 1:]), later)
-
-    def _columns(
-        self, states: Tensor, lengths: Tensor, novelty: Tensor | None, clock: Clock | None
-    ) -> Tensor:
-        """Return the columns at states (B, N + 1, D), shape (B, N + 1, D, R)."""
-        steps = Steps(lengths, torch.arange(lengths.shape[1] + 1))
-        if self.quartered:
-            steps, states = steps.quarters(), in_quarters(self.dynamics.increment, states, lengths)
-            novelty = self._novelty(states)
-        if clock is None:
-            jacobians = self.jacobians(states[:, :-1], steps.lengths)
-        else:
-            begun = extended(states[:, :-1], clock)
-            jacobians = reduced_jacobians(self.jacobians(begun, steps.lengths), clock.values.shape[-1])
-        return sensitivities(jacobians, self._forcing(states, novelty), steps, self.moved)
-
-    def _forcing(self, states: Tensor, novelty: Tensor | None) -> Tensor:
-        """Return the forcing of the columns (B, N, L, R): nonzero for parameters, zero for starts."""
-        if self.known.spread is None:
-            return states.new_zeros(*states.shape, self.known.columns, dtype=torch.float32)
-        forcing = self.field_columns(self.theta, states) @ self.known.spread.float()
-        if novelty is not None:
-            forcing = forcing * growth(novelty)[..., None, None].float()
-        return pad(forcing, (0, self.known.columns - forcing.shape[-1]))
-
-    def _covariances(self, moved: Tensor) -> Tensor | None:
-        """Return M M^T in float64; in float32 it could have negative eigenvalues."""
-        wide = moved.double()
-        return wide @ wide.mT if self.known.columns else None
-
-    def _steps(self, lengths: Tensor, clock: Clock | None) -> Iterator[Tensor]:
-        x = self.x
-        for k, dt in enumerate(lengths.tolist()):
-            x = stepped(self.dynamics, x, dt, None if clock is None else clock.at(k))
-            yield x
-
-    def _novelty(self, states: Tensor) -> Tensor | None:
-        return None if self.known.domain is None else self.known.domain.novelty(self.dynamics, states)
 
 
 def together(predictions: Sequence[Prediction]) -> Prediction:
@@ -251,7 +177,8 @@ def require_times(times: Tensor) -> None:
     if times.ndim != 1 or len(times) < 2 or not bool((times.diff() > 0).all() & times.isfinite().all()):
         received = times.tolist() if times.numel() < 7 else f"shape {tuple(times.shape)}"
         message = (
-            f"times: expected two or more that increase, the first that of the start; received {received}"
+            "times: expected two or more that increase, beginning with that of the start; received "
+            f"{received}"
         )
         raise UserError(message)
 
@@ -266,6 +193,6 @@ def require_finite_prediction(prediction: Prediction, unit: str) -> None:
         row, time = int(wrong[:, lost].nonzero()[0]), float(prediction.times[lost])
         message = (
             f"prediction: expected finite states; received NaN or infinity {time:g} {unit} after start "
-            f"{row + 1}. Nothing is written: shorten duration, or look at start and model"
+            f"{row + 1}. Nothing was written: shorten duration, or check start and model"
         )
         raise TrainingError(message)

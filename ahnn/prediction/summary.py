@@ -35,7 +35,8 @@ def warning(prediction: Prediction, starts: Starts, space: Space) -> str | None:
     """Return one line about states beyond the training data; None without such states or if unknown."""
     if prediction.novelty is None:
         return (
-            "novelty: not known, these weights do not say where their training data were. Train again to know"
+            "novelty: unknown, since these weights do not describe their training data. Train again to "
+            "obtain it"
         )
     beyond = prediction.novelty > BEYOND
     if not bool(beyond.any()):
@@ -47,5 +48,5 @@ def warning(prediction: Prediction, starts: Starts, space: Space) -> str | None:
     return (
         f"novelty: {in_percent(fraction)} of the predicted states lie beyond the training data, up to "
         f"{float(prediction.novelty.max()):.3g} times as far as its edge, first{whose} at t = {first:g} "
-        f"{space.units.time}. There a learned model may be wrong by far more than it knows"
+        f"{space.units.time}. Errors there may be far larger than the bands"
     )

@@ -68,8 +68,8 @@ class Linearised(NamedTuple):
         jacobians: Jacobians of the path's steps, (B, N, D, D).
         residuals: (B, K + 1, M) predicted - measured in standard deviations, whitened where their noise is
             coloured, times the square root of their weights.
-        of_state: (B, K + 1, M, D) their derivative with respect to the state at their time; where they are
-            whitened, that of what they were before.
+        of_state: (B, K + 1, M, D) their derivative with respect to the state at their time;
+            if residuals are whitened, that of the original ones.
         of_start: (B, K + 1, M, D) derivative with respect to the initial state.
     """
 

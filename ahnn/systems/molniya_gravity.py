@@ -53,8 +53,8 @@ class MolniyaGravity(SatelliteSystem):
         super().__post_init__()
         if self.order > 0 and self.rotation == 0:
             message = (
-                f"rotation: expected the rate of the planet, with which harmonics to order {self.order} "
-                "turn, 7.292115e-5 rad/s of the Earth; received 0.0. Only order 0 does not turn"
+                "rotation: expected the rotation rate of the planet for harmonics to order "
+                f"{self.order}, 7.292115e-5 rad/s for the Earth; received 0.0. Only order 0 needs none"
             )
             raise UserError(message)
 

@@ -41,7 +41,7 @@ class NBody(System):
         """Raise UserError for invalid parameters."""
         super().__post_init__()
         if self.bodies < 2:
-            message = f"bodies: expected two at least; received {self.bodies}"
+            message = f"bodies: expected at least two; received {self.bodies}"
             raise UserError(message)
         if self.masses is not None and len(self.masses) != self.bodies:
             message = f"masses: expected one for each of {self.bodies} bodies; received {self.masses}"

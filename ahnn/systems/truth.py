@@ -77,7 +77,7 @@ def accurate_substeps(system: System) -> int:
             return count
         count *= 2
     message = (
-        f"system {system.name}: expected a truth that is accurate to {ACCURACY:g} of its size; "
+        f"system {system.name}: expected reference states with a relative accuracy of {ACCURACY:g}; "
         f"received dt={system.dt:g}, where {FINEST} substeps of {system.integrator} miss it by {error:.1e}. "
         "Shorten system.dt"
     )

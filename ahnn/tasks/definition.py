@@ -85,7 +85,7 @@ def energy_error(
 
 
 def flow_through_encounters(system: System, parts: int = 64) -> Flow:
-    """Return the exact flow of bodies some of which meet closely, by substeps of a part of the interval.
+    """Return the exact flow of bodies with close encounters, with substeps of fractions of the interval.
 
     Substeps are chosen by a few runs; of thousands, the closest encounters need shorter ones.
     """

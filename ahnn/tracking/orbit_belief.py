@@ -22,7 +22,7 @@ class OrbitBelief(NamedTuple):
         names: of the F components.
         mean: (F,).
         covariance: (F, F).
-        time: at which it holds, seconds after the epoch.
+        time: time of the belief, seconds after the epoch.
         noise: standard deviations by station and kind, (stations, 6).
     """
 

@@ -135,7 +135,7 @@ def linearised(problem: OrbitProblem, x: Array) -> LinearisedOrbit:
     biases = unknowns.biases(x, (len(data.stations), len(KINDS)))
     residuals = data.values - predicted.values - biases[data.station]
     if bool((np.isfinite(data.values) & ~np.isfinite(residuals)).any()):
-        message = "orbit: a predicted measurement is not finite. Give a start that is nearer"
+        message = "orbit: a predicted measurement is not finite. Give a closer start"
         raise TrainingError(message)
     residuals[:, ANGLES] = (residuals[:, ANGLES] + np.pi) % (2 * np.pi) - np.pi
     by = np.zeros((*residuals.shape, len(x)))
@@ -242,5 +242,5 @@ def lower(
         there = linearised(problem, x)
         if cost(there) <= before * (1 + 1e-9) + 1e-9:
             return there
-    message = "orbit: expected a step that lowers the residuals; received none. Give a start that is nearer"
+    message = "orbit: expected a step that lowers the residuals; received none. Give a closer start"
     raise TrainingError(message)

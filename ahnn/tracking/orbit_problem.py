@@ -63,7 +63,7 @@ def prepared_orbit(setup: OrbitSetup, folder: Path, data: TrackingData | None = 
     Args:
         setup: user's setup.
         folder: base folder of file names.
-        data: in place of the measurements that the setup names.
+        data: measurements used instead of those named by the setup.
 
     Raises:
         UserError: an invalid file or station.
@@ -132,7 +132,7 @@ def moment_of(data: TrackingData, time: float) -> str:
 
 
 def start_moment(start: StartChoice) -> int:
-    """Return the epoch of a start in picoseconds; raises UserError for what is none."""
+    """Return the epoch of a start in picoseconds; raises UserError for an invalid one."""
     try:
         return epochs.instant(start.epoch, utc=True)
     except ValueError as error:
@@ -154,10 +154,10 @@ def measured(setup: OrbitSetup, folder: Path) -> TrackingData:
 
 
 def entries_of(setup: OrbitSetup, folder: Path, data: TrackingData) -> dict[str, StationEntry]:
-    """Return what is said of each station that the data name; of those in SINEX files nothing.
+    """Return the settings of each station in the data; stations from SINEX files have none.
 
     Raises:
-        UserError: one of which nothing is said, or one in the setup that the data do not name.
+        UserError: a station without settings, or one in the setup that does not occur in the data.
     """
     if setup.sinex is not None:
         return {}
@@ -173,13 +173,21 @@ def entries_of(setup: OrbitSetup, folder: Path, data: TrackingData) -> dict[str,
         if name not in known:
             message = f"stations.{name}: expected [latitude, longitude, height], degrees and m; received None"
             raise UserError(message + nearest(name, tuple(known)))
+        require_event(known[name], name, data)
     return known
+
+
+def require_event(entry: StationEntry, name: str, data: TrackingData) -> None:
+    """Raise UserError for a station that says that times tag another event than the data do."""
+    if entry.event not in (None, data.event):
+        message = f"stations: {name}.event: expected {data.event}, as measured; received {entry.event}"
+        raise UserError(message)
 
 
 def stations_of(
     setup: OrbitSetup, folder: Path, data: TrackingData, entries: dict[str, StationEntry]
 ) -> tuple[TrackingStation, ...]:
-    """Return the stations that the data name; raises UserError for one whose place nobody says."""
+    """Return the stations in the data; raises UserError for one without coordinates."""
     if setup.sinex is not None:
         catalogue = read_sinex(*(folder / name for name in setup.sinex))
         return tuple(cartesian_station(name, catalogue.position(name, data.epoch)) for name in data.stations)

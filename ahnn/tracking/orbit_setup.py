@@ -115,7 +115,7 @@ class OrbitSetup:
 
     Attributes:
         measurements: file of them, as `read_tracking` reads it.
-        object: which satellite of the file; the only one without it.
+        object: name of the satellite; may be omitted if the file has only one.
         start: where the fit begins; without it at an initial orbit by directions, and ranges if there are.
         orientation: bulletins B; without them the days of astropy-iers-data.
         stations: of each [latitude, longitude, height], degrees and m, or all that
@@ -185,7 +185,7 @@ def choice_of(kind: type[T], values: Any, who: str) -> T:
         UserError: see `setup_of`.
     """
     if not isinstance(values, Mapping):
-        message = f"{who}: expected keys with values; received {values!r}"
+        message = f"{who}: expected a mapping of keys to values; received {values!r}"
         raise UserError(message)
     hints, made = type_hints(kind), dict(values)
     for name, value in values.items():

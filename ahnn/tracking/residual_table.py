@@ -101,16 +101,16 @@ def verdict(row: ResidualRow) -> str:
     found = []
     if row.number >= FEWEST and abs(row.mean) > CERTAIN * error and abs(row.mean) > 0.1 * row.noise:
         way = "estimate a bias" if not row.bias[1] > 0 else "its prior is too narrow"
-        found.append(f"a bias of {factor * row.mean:.3g} {unit} is left: {way}")
+        found.append(f"a bias of {factor * row.mean:.3g} {unit} remains: {way}")
     whole = row.mean + np.nan_to_num(row.bias[0])
     if row.given and abs(row.given) > error and abs(whole / row.given + 1) < OPPOSITE:
-        found.insert(0, f"its bias is {factor * row.given:.3g} {unit} with the other sign")
+        found.insert(0, f"the given bias, {factor * row.given:.3g} {unit}, has the wrong sign")
     if abs(row.trend[0]) > CERTAIN * row.trend[1]:
         found.append(f"drifts by {3600 * factor * row.trend[0]:+.2g} {unit} an hour")
     if row.sd > WIDE * row.noise:
         found.append(f"scatters {row.sd / row.noise:.1f} times its noise")
     if row.correlation > ALIKE:
-        found.append(f"neighbours err alike ({row.correlation:.2f})")
+        found.append(f"successive residuals correlate ({row.correlation:.2f})")
     return "; ".join(found) or "fits"
 
 

@@ -1,7 +1,7 @@
 """The motion of a satellite under known forces as a flow, wherever a learned one stands: filters, forecasts.
 
-States are [position, velocity, parameters of the forces, constants], shape (B, D), km and km/s in GCRF: what
-is estimated besides the orbit stands behind it and stays as it is. Time counts from the epoch of the forces.
+States are [position, velocity, parameters of the forces, constants], shape (B, D), km and km/s in GCRF;
+other estimated quantities follow the orbit and are constant. Time counts from the epoch of the forces.
 """
 
 from __future__ import annotations
@@ -87,7 +87,9 @@ class SatelliteStep(NamedTuple):
             max_step=forces.longest,
         )
         if not done.success:
-            message = f"orbit: the path from {self.time:.0f} s stops at {done.t[-1]:.0f} s: {done.message}"
+            message = (
+                f"orbit: the integration from {self.time:.0f} s stops at {done.t[-1]:.0f} s: {done.message}"
+            )
             raise TrainingError(message)
         after = before.copy()
         after[:, :SIZE] = done.y[:, -1].reshape(shape)

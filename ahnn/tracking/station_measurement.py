@@ -1,6 +1,6 @@
 """Station as a measurement model of filters: predicted measurements of a state at a reading's time.
 
-Light meets the satellite up to a second before or after the time that a reading is tagged with. Over that
+Light reaches the satellite up to a second before or after the time tag of a reading. Over that
 time the state moves by the Earth's attraction as of a point, to second order: to a few micrometres, and to
 0.1 mm/s in range rates.
 """
@@ -18,12 +18,11 @@ from torch import Tensor
 from ahnn.measurements.angles import Differing
 from ahnn.measurements.base import Time
 from ahnn.tracking.satellite_flow import SIZE
-from ahnn.tracking.tracking_data import KINDS, Kind
+from ahnn.tracking.tracking_data import KINDS, UNITS, Kind
 from ahnn.tracking.tracking_model import PredictedTracking, TrackingModel
 from ahnn.tracking.tracking_station import EARTH_MU
 
 Array = NDArray[np.float64]
-UNITS = dict.fromkeys(KINDS, "rad") | {"range": "km", "range_rate": "km/s"}
 
 
 class NearbyStates(NamedTuple):

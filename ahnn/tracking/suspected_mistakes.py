@@ -1,8 +1,8 @@
 """Which mistake explains residuals that are no noise: what would fit if it were undone.
 
-Stations that stand elsewhere and angles in another unit are undone and fitted again. A turn of the Earth, as
-of UTC that is given for UT1, is one more unknown of the linearised measurements (a score test: Rao 1948);
-ranges, rates, azimuths and elevations turn with the stations and do not show it, as right ascensions do.
+Stations that stand elsewhere and angles in another unit are undone and fitted again. A rotation of the Earth,
+as from UTC given as UT1, is a further unknown of the linearised measurements (a score test: Rao 1948);
+ranges, rates, azimuths and elevations rotate with the stations and do not show it, but right ascensions do.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Turned(NamedTuple):
 def suspected_mistakes(
     problem: OrbitProblem, point: LinearisedOrbit | None, rotation: EarthRotation
 ) -> list[str]:
-    """Return sentences on what was likely mistaken; none where residuals are noise.
+    """Return sentences on suspected mistakes; none if residuals are noise.
 
     Args:
         problem: that was fitted.
@@ -90,7 +90,7 @@ def size_of(problem: OrbitProblem, point: LinearisedOrbit) -> float:
 
 
 def nearest_first(problem: OrbitProblem) -> list[tuple[str, OrbitProblem]]:
-    """Return the mistakes whose undoing brings measurements nearest to the path of the start, best first.
+    """Return the mistakes whose correction brings measurements closest to the initial orbit, best first.
 
     Others are not fitted: their paths go astray.
     """
@@ -117,24 +117,26 @@ def undone(problem: OrbitProblem) -> Iterator[tuple[str, OrbitProblem]]:
     model, data = problem.model, problem.model.data
     angles = np.array([kind not in ("range", "range_rate") for kind in KINDS])
     if np.isfinite(data.values[problem.used][:, angles]).any():
-        for factor, words in ((1 / DEGREE, "radians are taken for degrees"), (DEGREE, "degrees for radians")):
+        for factor, words in ((1 / DEGREE, "radians are taken as degrees"), (DEGREE, "degrees for radians")):
             values = np.where(angles, data.values * factor, data.values)
             other = model.of(model.stations, replace(data, values=values))
             yield f"angles fit if multiplied by {factor:.4g}: {words}", replace(problem, model=other)
     for a, b in combinations(range(len(data.stations)), 2):
         places = list(model.stations)
         places[a], places[b] = places[b], places[a]
-        words = f"{data.stations[a]} and {data.stations[b]} fit where the other stands: they are interchanged"
+        words = (
+            f"{data.stations[a]} and {data.stations[b]} fit at each other's position: they are interchanged"
+        )
         yield words, replace(problem, model=model.of(tuple(places), data))
     for s, name in enumerate(data.stations):
         used = problem.used & (data.station != s)
         if len({*data.station[used].tolist()}) == len(data.stations) - 1 > 0:
-            words = f"without {name} the others fit: it stands elsewhere, or its measurements are of another"
+            words = f"the others fit without {name}: it stands elsewhere, or measured another object"
             yield words, replace(problem, used=used)
 
 
 def turn_of(problem: OrbitProblem, point: LinearisedOrbit, rotation: EarthRotation) -> list[str]:
-    """Return a sentence where the measurements say that the Earth is turned, else none."""
+    """Return a sentence if the measurements indicate a rotation of the Earth, else none."""
     turned = problem.model.on(cast(Any, Turned(rotation, TURN)))
     moved = (turned(point.arc).values - problem.model(point.arc).values) / TURN
     moved[:, ANGLES] = ((moved[:, ANGLES] * TURN + np.pi) % (2 * np.pi) - np.pi) / TURN
@@ -156,7 +158,7 @@ def turn_of(problem: OrbitProblem, point: LinearisedOrbit, rotation: EarthRotati
     if not CERTAIN * sd < abs(seconds) < LARGEST:
         return []
     return [
-        f"directions fit if the Earth is turned by {seconds:+.4f} ± {sd:.1g} s of UT1: UTC given for UT1?"
+        f"directions fit if the Earth is rotated by {seconds:+.4f} ± {sd:.1g} s of UT1: UTC given for UT1?"
     ]
 
 
@@ -176,5 +178,5 @@ def orientation_mistake(
     ours, theirs = (float(np.interp(day, one.mjd, one.ut1_utc)) for one in (used, known))
     if abs(ours - theirs) < SAME:
         return []
-    words = f"UT1 - UTC is given as {ours:.4f} s, and the IERS has {theirs:.4f} s: UTC given for UT1?"
+    words = f"UT1 - UTC is given as {ours:.4f} s, but the IERS gives {theirs:.4f} s: UTC given for UT1?"
     return [f"orientation: {words}"]

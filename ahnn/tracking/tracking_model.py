@@ -98,7 +98,7 @@ class TrackingModel:
         return TrackingModel(data, stations, self.corrections, self._rotation, self._bodies)
 
     def on(self, rotation: EarthRotation) -> TrackingModel:
-        """Return the model on an Earth that turns otherwise."""
+        """Return the model with a different rotation of the Earth."""
         return TrackingModel(self.data, self.stations, self.corrections, rotation, self._bodies)
 
     def site(self, station: TrackingStation, times: Array) -> Array:

@@ -98,7 +98,7 @@ class RecordedStep(FirstOrder):
                 self.failed = True
                 log.warning(
                     "cuda_graphs: expected optimiser steps that can be recorded; received %s (%s). The "
-                    "training goes on without",
+                    "training continues without them",
                     type(error).__name__,
                     " ".join(str(error).split())[:200],
                 )

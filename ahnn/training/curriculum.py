@@ -24,8 +24,8 @@ field, then relative to the noise.
 WHOLE = "whole"
 """Name of the stage of shooting over whole trajectories."""
 STAGE = (
-    "intervals >= 3, relative, weak or whole, with a fraction of the epochs and, if wanted, "
-    "stretches of a step"
+    "intervals >= 3, relative, weak or whole, with a fraction of the epochs and optionally the segments "
+    "per step"
 )
 
 
@@ -83,11 +83,13 @@ class Phase(NamedTuple):
         until: fraction of the epochs at which it ends.
         objective: objective minimised in the phase.
         stretches: number of segments per step; None for the batch size of the data.
+        left: minimum number of epochs for what follows.
     """
 
     until: float
     objective: Objective
     stretches: int | None = None
+    left: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +121,8 @@ class Curriculum:
         return self._phase(epoch, epochs).stretches
 
     def _phase(self, epoch: int, epochs: int) -> Phase:
-        return next((p for p in self.phases if epoch < p.until * epochs), self.phases[-1])
+        ends = (min(phase.until * epochs, epochs - phase.left) for phase in self.phases)
+        return next((p for p, end in zip(self.phases, ends, strict=True) if epoch < end), self.phases[-1])
 
 
 def make_curriculum(size: int, window: int, options: dict[str, Any]) -> tuple[nn.Module, Curriculum]:
@@ -139,7 +142,7 @@ def make_curriculum(size: int, window: int, options: dict[str, Any]) -> tuple[nn
 
 
 def windowed(loss: Loss, window: int) -> Curriculum:
-    """Build a curriculum of derivative fitting followed by the objective of the loss.
+    """Build a curriculum of derivative fitting followed by the objective of the loss, at least in one epoch.
 
     Raises:
         UserError: unknown objective or invalid options.
@@ -148,7 +151,9 @@ def windowed(loss: Loss, window: int) -> Curriculum:
     if fraction == 0:
         return Curriculum([Phase(1.0, last)], last, window)
     derivative = Derivative(loss, loss.options.order)
-    phases = [Phase(fraction, derivative), *([Phase(1.0, last)] if fraction < 1 else [])]
+    phases = [Phase(1.0, derivative)]
+    if fraction < 1:
+        phases = [Phase(fraction, derivative, left=1), Phase(1.0, last)]
     return Curriculum(phases, last, max(window, derivative.order))
 
 

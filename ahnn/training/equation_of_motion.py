@@ -50,9 +50,9 @@ def equation_of_motion(dynamics: Dynamics, instrument: Instrument) -> Motion:
     ):
         return _of_positions(dynamics)
     message = (
-        "loss.stages: weak and relative expect dynamics with a field and measured states, or positions where "
-        f"the kinetic energy is known; received {type(measurement).__name__} and {type(dynamics).__name__}. "
-        "Begin with stretches, such as [[4, 0.5], [whole, 1.0]]"
+        "loss.stages: weak and relative expect dynamics with a field and measured states, or positions "
+        f"with a known kinetic energy; received {type(measurement).__name__} and {type(dynamics).__name__}. "
+        "Begin with segments, such as [[4, 0.5], [whole, 1.0]]"
     )
     raise UserError(message)
 

@@ -69,12 +69,12 @@ def conclude_with_noise(
 
 
 def is_noise(noise: FoundNoise, chi_square: float) -> bool:
-    """Return whether what a fit left can be noise; if not it says so."""
+    """Return whether the residuals of a fit can be noise; logs a warning if not."""
     times = max(float(noise.scales.max()), chi_square**0.5)
     if times > NO_NOISE:
         log.warning(
-            "the noise is not estimated: residuals are %.2g times as large as it was expected to be, rather "
-            "errors of the dynamics. Train longer, or say what data.noise is",
+            "the noise is not estimated: residuals are %.2g times the expected noise, probably errors of "
+            "the dynamics. Train longer, or set data.noise",
             times,
         )
     return times <= NO_NOISE

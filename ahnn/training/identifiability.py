@@ -24,15 +24,16 @@ def require_identifiable(dynamics: Dynamics, sensor: Sensor, *, windows: bool) -
     """
     if dynamics.clock:
         message = (
-            "data.noise: expected forces of positions and velocities alone for training on measurements; "
-            f"received {dynamics.assumes}, which depend on time or controls. Train on exact states"
+            "data.noise: expected forces that depend only on positions and velocities, for training on "
+            f"measurements; received {dynamics.assumes}, which depend on time or controls. Train on exact "
+            "states"
         )
         raise UserError(message)
     if sensor.gives_states:
         return
     received = f"received {', '.join(sensor.measurement.names)}"
     if windows:
-        message = f"loss: expected measured states for windows of them; {received}. Use recipe=measurements"
+        message = f"loss: expected measured states for a loss on windows; {received}. Use recipe=measurements"
         raise UserError(message)
     if not (has_field(dynamics) and knows_velocities(dynamics.field)):
         message = (

@@ -83,7 +83,7 @@ def most_likely(left: Residuals, *, sizes: bool, correlation: bool) -> FoundNois
     """Return the most likely noise.
 
     Args:
-        left: by the fit.
+        left: residuals of the fit.
         sizes: whether standard deviations are unknown; else they are the stated ones.
         correlation: whether a coloured part is looked for.
     """

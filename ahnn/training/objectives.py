@@ -172,8 +172,8 @@ def derivative_samples(window: Window) -> tuple[Tensor, Tensor]:
     """
     if isinstance(window.dt, Tensor):
         message = (
-            "loss: derivatives of the data expect samples at equal steps; received steps that differ. "
-            "Set loss.derivative=0, or data.noise where they are measurements"
+            "loss: expected samples at equal steps for derivatives of the data; received unequal steps. "
+            "Set loss.derivative=0, or data.noise if they are measurements"
         )
         raise UserError(message)
     steps = window.increments.shape[1]

@@ -78,7 +78,7 @@ def require_restorable(who: str, model: Any, trainer: Any, content: dict[str, An
     except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
         if isinstance(error, UserError):
             raise
-        message = f"{who}: expected one to resume from; received one that is not whole: {error!r}"
+        message = f"{who}: expected one to resume from; received an incomplete one: {error!r}"
         raise UserError(message) from error
 
 

@@ -1,11 +1,10 @@
 """Constant errors of a sensor, the same in all segments, eliminated from normal equations as starts are.
 
 With K biases b in addition to the parameters, normal equations have the blocks (A, C; C^T, B) and gradients
-(g, h). A normal prior adds its precision to B, S = B + diag(1 / sd^2), and its pull to h. The best b for some
-parameters is b - S^-1 h, the reduced equations of the parameters have the matrix A - C S^-1 C^T, the gradient
-g
-- C S^-1 h, and a sum of squares that is less by h^T S^-1 h (Tapley, Schutz & Born 2004, section 6.4). What
-measurements do not say of a bias leaves parameters as uncertain as its prior leaves it.
+(g, h). A normal prior adds its precision to B, S = B + diag(1 / sd^2), and the corresponding term to h. The
+best b for some parameters is b - S^-1 h, the reduced equations of the parameters have the matrix A - C S^-1
+C^T, the gradient g - C S^-1 h, and a sum of squares that is less by h^T S^-1 h (Tapley, Schutz & Born 2004,
+section 6.4). An unobservable bias makes the parameters as uncertain as its prior.
 """
 
 from __future__ import annotations

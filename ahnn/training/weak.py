@@ -7,7 +7,7 @@ x. Hence
 
 is zero for the true field f, and its noise is that of a weighted sum of samples (Messenger & Bortz 2021,
 Multiscale Model. Simul. 19, 1474-1497). The residual is linear in the field. Measured positions q obey a
-second-order equation, with -phi'' q in place of phi' x.
+second-order equation, with -phi'' q instead of phi' x.
 """
 
 from __future__ import annotations

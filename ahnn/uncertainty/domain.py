@@ -104,7 +104,7 @@ def domain_of(about: dict[str, Any], size: int) -> Domain | None:
         return None
     known = read("domain", Known, about["domain"])
     if not known.states or {len(row) for row in known.states} != {size}:
-        message = f"domain: expected training states of {size} components beside the weights; received others"
+        message = f"domain: expected training states of {size} components with the weights; received others"
         raise UserError(message)
     return Domain(torch.tensor(known.states, dtype=torch.float64), known.unit)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -54,6 +55,12 @@ class Uncertainty:
     def covariance(self) -> Tensor:
         """Second moment of true minus learned parameters, (P, P), ordered as `dynamics.parameters()`."""
         return self.spread @ self.spread.mT
+
+    def to(self, device: torch.device | str | None) -> Uncertainty:
+        """Return the same on a device, in float64."""
+        moved = {name: part.to(device) for name in PARTS if (part := getattr(self, name)) is not None}
+        before = self.before and (copy.deepcopy(self.before[0]).to(device), self.before[1].to(device))
+        return replace(self, **moved, before=before)
 
     @property
     def least_observable(self) -> Tensor | None:

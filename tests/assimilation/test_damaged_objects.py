@@ -19,12 +19,12 @@ BAD = {
     "1,body 0,ruler,1": "expected 5 cells; received 4",
     "x,body 0,ruler,1,": "time: expected a finite number; received 'x'",
     ",body 0,ruler,1,": "time: expected a number; received none",
-    "1,,ruler,1,": "name: expected the name of an object",
+    "1,,ruler,1,": "name: expected an object name",
     "1,body 0,sonar,1,": "sensor: expected one of ruler, radar; received 'sonar'",
     "1,body 0,ruler,inf,": "q: expected a finite number; received 'inf'",
     "1,body 0,ruler,1_0,": "q: expected a finite number; received '1_0'",
-    '1,"body, 0",ruler,1,': "name: expected the name of an object, without commas",
-    "1,body 0,ruler,1e300,": "expected numbers that leave a finite, precise estimate; received q 1e+300",
+    '1,"body, 0",ruler,1,': "name: expected an object name without commas",
+    "1,body 0,ruler,1e300,": "expected values that give a finite, precise estimate; received q 1e+300",
 }
 
 
@@ -65,9 +65,9 @@ def test_unknown_objects_are_told_once_and_a_common_start_takes_them_in(tmp_path
     with caplog.at_level(logging.INFO, "ahnn"):
         made = session(TEXT, tmp_path / "some.csv", names=known)
         made.run()
-    told = [text for text in caplog.messages if "has no start: not counted" in text]
+    told = [text for text in caplog.messages if "has no start: ignored" in text]
     assert sorted(text.partition(": ")[2] for text in told) == [
-        f"object {name} has no start: not counted" for name in NAMES[5:]
+        f"object {name} has no start: ignored" for name in NAMES[5:]
     ]
     assert made.counts["unknown"] == sum(name not in known for name, _ in PAIRS)
     made = session(TEXT, tmp_path / "all.csv", names=None)
@@ -118,7 +118,7 @@ def test_states_of_others_and_damaged_ones_are_refused(tmp_path):
     session(TEXT, *names).run()
     with pytest.raises(UserError, match="of this model, process noise, gate, sensors and window"):
         session(TEXT, *names, window=3.0)
-    with pytest.raises(UserError, match=r"start: expected the 7 objects of .* received others"):
+    with pytest.raises(UserError, match=r"start: expected the 7 objects of .* received different ones"):
         session(TEXT, *names, names=NAMES[:3])
     whole = names[1].read_bytes()
     for cut in (whole[:-40], whole[: len(whole) // 2], b""):
@@ -128,5 +128,5 @@ def test_states_of_others_and_damaged_ones_are_refused(tmp_path):
 
 
 def test_a_column_that_a_sensor_has_names_no_object():
-    with pytest.raises(UserError, match="objects: expected a column beside"):
+    with pytest.raises(UserError, match="objects: expected a column other than"):
         Layout("time,q", SENSORS, objects="q")

@@ -66,14 +66,14 @@ def test_flipped_bits_of_the_state_are_refused(names):
 )
 def test_notes_beyond_their_limits_are_refused(names, keys):
     changed(names[1], **keys)
-    refused(names, "state: expected one of a stream")
+    refused(names, "state: expected the state of a stream")
 
 
 def test_a_size_of_zero_or_any_other_never_cuts_rows_that_the_state_counts(names):
     whole = len(names[0].read_bytes())
     for size in (0, 1, whole - 1, whole - 60):
         changed(names[1], size=size)
-        refused(names, "output: expected .* as it was left, .* other content. Begin again")
+        refused(names, "output: expected .* unchanged, .* other content. Start over")
 
 
 @pytest.mark.parametrize("kind", ["csv", "json"])
@@ -102,11 +102,11 @@ def test_a_file_in_the_place_of_an_output_that_had_not_begun_stays(tmp_path):
 
 def test_an_output_that_is_gone_is_not_begun_in_the_middle(names):
     names[0].unlink()
-    refused(names, "output: expected .* as it was left; received none")
+    refused(names, "output: expected .* unchanged; received none")
 
 
 def test_rows_of_another_kind_do_not_follow(names):
-    refused(names, "format: expected that of .*; received another", kind="json")
+    refused(names, "format: expected the value stored in .*; received another", kind="json")
 
 
 def test_an_empty_reading_leaves_the_consistency_known(tmp_path):
@@ -132,5 +132,5 @@ def test_a_damaged_journal_is_refused(tmp_path):
         content = bytearray(good)
         content[place // 8] ^= 1 << place % 8
         path.write_bytes(content)
-        with pytest.raises(UserError, match="state: expected its journal"):
+        with pytest.raises(UserError, match="state: expected an intact journal"):
             session(Journal(pipe, path), *names)

@@ -87,7 +87,7 @@ def test_nothing_is_smoothed_over_a_gate_that_reopened():
 
 
 def test_a_filter_without_laws_back_has_no_lag():
-    with pytest.raises(UserError, match="lag: expected a Gaussian filter, as ukf and ekf; received enkf"):
+    with pytest.raises(UserError, match="lag: expected a Gaussian filter, such as ukf or ekf; received enkf"):
         make(EnsembleKalmanFilter(ensemble=20), lag=1.0)
 
 

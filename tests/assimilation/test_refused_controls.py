@@ -26,18 +26,18 @@ PUSH = Reading(1.0, controls=(1.0, 2.0))
         (
             Reading(1.0, (1.0,), "ruler"),
             {},
-            "expected them from the start on, at time 0; received none before a reading of time 1",
+            "expected values from the start on, at time 0; received none before a reading at time 1",
         ),
-        (PUSH, {}, r"controls: expected them .* before a reading of time 1\. Begin with one of time 0"),
+        (PUSH, {}, r"controls: expected values .* before a reading at time 1\. Begin with one of time 0"),
         (PUSH._replace(controls=(1.0,)), {}, r"controls: expected 2 finite numbers .*; received \(1.0,\)"),
         (PUSH._replace(controls=(1.0, math.nan)), {}, r"expected 2 finite numbers .*; received \(1.0, nan\)"),
         (PUSH._replace(controls=(1.0, 1e200)), {}, r"expected 2 finite numbers up to 1e\+150"),
         (
             PUSH,
             {"controls": TABLE},
-            r"expected a table or readings that have them; received both, \(1.0, 2.0\)",
+            r"expected a table, or readings with controls; received both, \(1.0, 2.0\)",
         ),
-        (Reading(math.nan), {}, "reading: expected a time"),
+        (Reading(math.nan), {}, "reading: expected a finite time"),
     ],
 )
 def test_a_reading_whose_controls_are_none_is_refused_and_changes_nothing(reading, options, message):
@@ -50,17 +50,17 @@ def test_a_reading_whose_controls_are_none_is_refused_and_changes_nothing(readin
 
 def test_controls_of_a_model_that_has_none_and_tables_of_others_are_refused():
     with pytest.raises(
-        UserError, match="expected none, since no force of the model depends on any; received"
+        UserError, match="expected none, since no force of the model depends on controls; received"
     ):
         make().update(PUSH)
     with pytest.raises(
-        UserError, match="expected none, since no force of the model depends on any; received"
+        UserError, match="expected none, since no force of the model depends on controls; received"
     ):
         make(controls=TABLE)
     with pytest.raises(UserError, match=r"controls: expected a table of 2; received \(1, 1\)"):
         steered_filter(controls=ControlTable.of([0.0], [[1.0]]))
     with pytest.raises(
-        UserError, match="controls: expected them from the start on, at -1; received the first"
+        UserError, match="controls: expected values from the start on, at -1; received the first"
     ):
         steered_filter(controls=TABLE, time=-1.0)
     for times, values in (([0.0, 0.0], [[1.0], [2.0]]), ([0.0], [[math.nan]]), ([0.0], [1.0]), ([], [])):
@@ -86,9 +86,9 @@ def test_a_header_of_other_controls_is_refused_and_leaves_nothing(tmp_path, head
 @pytest.mark.parametrize(
     ("text", "options", "said"),
     [
-        ("time,sensor,q\n1,ruler,2\n", {}, "controls: expected them from the start on, at time 0"),
-        ('{"time": 1, "u": 1, "brake": 0}\n', {}, "controls: expected them from the start on"),
-        ("time,u,brake\n0,1,2\n", {"controls": TABLE}, "expected a table or readings that have them"),
+        ("time,sensor,q\n1,ruler,2\n", {}, "controls: expected values from the start on, at time 0"),
+        ('{"time": 1, "u": 1, "brake": 0}\n', {}, "controls: expected values from the start on"),
+        ("time,u,brake\n0,1,2\n", {"controls": TABLE}, "expected a table, or readings with controls"),
     ],
 )
 def test_a_stream_without_its_controls_or_with_both_is_refused_and_leaves_nothing(
@@ -102,7 +102,7 @@ def test_a_stream_without_its_controls_or_with_both_is_refused_and_leaves_nothin
 
 
 def test_a_control_that_no_line_brings_is_named(tmp_path):
-    with pytest.raises(UserError, match="received 1 of 2 before a reading of time 1"):
+    with pytest.raises(UserError, match="received 1 of 2 before a reading at time 1"):
         steered_session("time,u,brake\n0,1,\n1,,2\n", tmp_path / "out.csv").run()
 
 
@@ -125,8 +125,8 @@ def test_the_only_control_may_have_any_name_of_a_control():
     assert Layout("{", sensors, controls=("u",)).reading('{"t": 1, "input": 2}') == Reading(
         1.0, controls=(2.0,)
     )
-    with pytest.raises(BadLine, match="a key twice"):
+    with pytest.raises(BadLine, match="a duplicate key"):
         Layout("{", sensors, controls=("u",)).reading('{"t": 1, "input": 2, "u": 3}')
-    with pytest.raises(UserError, match="expected sensors that measure no control; received q"):
+    with pytest.raises(UserError, match="expected sensors that do not measure controls; received q"):
         Layout("t,q", sensors, controls=("q",))
     assert Layout("t;u1", sensors, controls=("u",)).asks

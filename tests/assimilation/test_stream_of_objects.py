@@ -157,5 +157,5 @@ def test_parquet_in_gives_the_same_rows_and_is_gone_on_with(tmp_path):
     one, other = rows_of(tmp_path / "text.csv"), rows_of(names[0])
     assert [row | {"line": ""} for row in one] == [row | {"line": ""} for row in other]
     parquet.write_table(pa.table(columns), tmp_path / "in.parquet", row_group_size=7)
-    with pytest.raises(UserError, match="expected the file whose 51 rows were counted before"):
+    with pytest.raises(UserError, match="expected the file whose 51 rows were processed before"):
         session(ParquetRows(str(tmp_path / "in.parquet")), *names, every=20)

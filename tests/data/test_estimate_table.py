@@ -67,9 +67,9 @@ def test_other_files_are_no_outputs(tmp_path):
     ("rows", "names", "received"),
     [
         ([], None, "no row"),
-        (ROWS, [*FIRST, *SPACE.components], "none of it .'cov_x_x'"),
-        (ROWS, [*FIRST, *SPACE.components[1:], *NAMES], "none of it .'x'"),
-        ([{**ROWS[0], "y": "far"}], None, "none of it .could not convert"),
+        (ROWS, [*FIRST, *SPACE.components], "an invalid row .'cov_x_x'"),
+        (ROWS, [*FIRST, *SPACE.components[1:], *NAMES], "an invalid row .'x'"),
+        ([{**ROWS[0], "y": "far"}], None, "an invalid row .could not convert"),
     ],
 )
 def test_an_output_without_an_estimate_is_refused(tmp_path, rows, names, received):

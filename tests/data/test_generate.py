@@ -50,7 +50,7 @@ def test_a_duration_that_is_none_is_refused(monkeypatch, steps):
 
 
 def test_trajectories_beyond_the_memory_are_refused():
-    with pytest.raises(UserError, match=r"system.steps.*: expected states of a trajectory that fit into"):
+    with pytest.raises(UserError, match=r"system.steps.*: expected states of a trajectory that fit in"):
         generate(dataclasses.replace(SPRING, steps=10**15), 3, 0)
 
 

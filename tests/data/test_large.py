@@ -186,7 +186,7 @@ def test_a_store_beyond_the_memory_is_taken_and_one_beyond_the_disk_refused(tmp_
     source = Simulated(SHORT, trajectories=100, seed=0, cache=str(tmp_path / "cache"))
     source.check()
     monkeypatch.setattr("ahnn.memory.shutil.disk_usage", lambda _: type("Usage", (), {"free": 20_000}))
-    message = r"data.trajectories, system.steps: expected trajectories that fit into 0 GB, free at .*cache;"
+    message = r"data.trajectories, system.steps: expected trajectories that fit in the 0 GB free at .*cache;"
     with pytest.raises(UserError, match=message):
         source.check()
     monkeypatch.undo()

@@ -117,7 +117,7 @@ def test_a_motion_that_is_sampled_too_rarely_tells_nothing():
 
 
 @pytest.mark.parametrize(
-    ("stated", "said"), [(0.1, None), (0.3, "data.noise says otherwise"), (0.03, "noise of c0 0.")]
+    ("stated", "said"), [(0.1, None), (0.3, "data.noise differs"), (0.03, "noise of c0 0.")]
 )
 def test_noise_is_remarked_upon_where_it_matters(stated, said):
     remark = remark_on(*noisy(0.1)[:2], NAMES, torch.full((6,), stated, dtype=torch.float64))

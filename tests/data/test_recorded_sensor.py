@@ -87,11 +87,11 @@ def test_noise_is_remarked_upon_unless_the_training_takes_it_into_account(tmp_pa
     simulated = Simulated(system, trajectories=10, seed=0, cache=str(tmp_path))
     assert module(simulated, None).remark() is None
     drawn = module(simulated, Sensor(simulated.space, measured="state", noise=0.01))
-    assert "which this loss learns" in (drawn.remark() or "")
+    assert "which this loss would learn" in (drawn.remark() or "")
     drawn.follow(SimpleNamespace(), 1)
     assert drawn.remark() is None
     drawn.sensor.deviations = 3 * drawn.sensor.deviations  # as if somebody had stated that
-    assert "data.noise says otherwise" in (drawn.remark() or "")
+    assert "data.noise differs" in (drawn.remark() or "")
 
 
 @pytest.mark.parametrize(("per_epoch", "steps"), [(None, 1), (3, 1), (4, 1), (9, 2), (12, 3)])
@@ -146,7 +146,7 @@ def test_noise_to_estimate_begins_at_what_differences_show(tmp_path):
     few.splits._measured["train"] = few.measured("train")._replace(
         values=few.measured("train").values[:, :8], times=few.measured("train").times[:, :8]
     )
-    with pytest.raises(UserError, match=r"data\.noise: expected samples so dense"):
+    with pytest.raises(UserError, match=r"data\.noise: expected samples dense enough"):
         few.splits.instrument()
 
 

@@ -100,11 +100,11 @@ def test_numbers_are_turned_into_the_frame_of_a_model(given, ours, turned):
     ("given", "ours", "said"),
     [
         (("", "MARS"), ("", "EARTH"), "who: expected centre EARTH.*received MARS. Convert it"),
-        (("", "MARS"), ("", ""), "expected centre EARTH.*received MARS. frame= or center= names MARS"),
+        (("", "MARS"), ("", ""), "expected centre EARTH.*received MARS. Set frame= or center= if MARS"),
         (("", "EARTH"), ("", "MARS"), "expected centre MARS.*received EARTH. Convert it"),
         (("EME2000", ""), ("TNW", ""), "expected frame TNW.*received EME2000. Convert it"),
         (("TNW", ""), ("GCRF", ""), "expected frame GCRF.*received TNW. Convert it"),
-        (("ITRF2014", ""), ("", ""), "expected an inertial frame; received ITRF2014. frame= names"),
+        (("ITRF2014", ""), ("", ""), "expected an inertial frame; received ITRF2014. Set frame= to"),
     ],
 )
 def test_a_frame_or_a_centre_that_does_not_fit_is_refused(given, ours, said):

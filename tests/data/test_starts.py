@@ -52,7 +52,10 @@ def test_velocities_are_no_momenta_of_a_space_that_is_not_mechanical(tmp_path):
     [
         ("t,x,z,vx,vz", "expected positions x, y and their velocities or momenta; received x, z. Name the"),
         ("t,x,y", "received x, y alone. The output of ahnn.assimilate"),
-        ("t [s],x [rad],y [rad],vx [rad/s],vy [rad/s]", "expected numbers in m, or a unit that fits it; rec"),
+        (
+            "t [s],x [rad],y [rad],vx [rad/s],vy [rad/s]",
+            "expected numbers in m, or a compatible unit; rec",
+        ),
     ],
 )
 def test_columns_that_are_no_states_of_a_model_are_refused(head, said, tmp_path):
@@ -149,4 +152,4 @@ def test_a_start_in_another_frame_is_refused_where_it_cannot_be_turned(tmp_path)
 @pytest.mark.parametrize(("ours", "warned"), [("", True), ("EME2000, EARTH", False)])
 def test_a_model_without_a_frame_is_taken_to_be_in_that_of_the_file(tmp_path, caplog, ours, warned):
     starts(message(tmp_path / "a.oem", [0.0, 60.0, 150.0]), ORBIT, Reference.of(ours))
-    assert ("in EME2000; the model says no frame" in caplog.text) is warned
+    assert ("in EME2000; the model states no frame" in caplog.text) is warned

@@ -108,7 +108,7 @@ def test_a_truncated_file_is_made_again(tmp_path, size):
 
 def test_a_folder_that_cannot_be_written_is_refused_before_generation(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match=r"file/sub: expected a place that can be written"):
+    with pytest.raises(UserError, match=r"file/sub: expected a writable place"):
         store.load_or_make(tmp_path / "file" / "sub", RECIPE, never)
 
 

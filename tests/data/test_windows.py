@@ -98,7 +98,7 @@ def test_increments_are_formed_in_float64_before_they_are_cast():
 
 
 def test_samples_that_stand_alone_are_named_and_not_windows_of_one_to_no_steps():
-    with pytest.raises(UserError, match="expected two samples in a row without a gap"):
+    with pytest.raises(UserError, match="expected at least two consecutive samples"):
         Windows(numbered([[1, 1], [1]]), 3, torch.float64)
     with pytest.raises(UserError, match="expected windows of 1 to 1 steps"):
         Windows(numbered([[2, 1]]), 3, torch.float64)

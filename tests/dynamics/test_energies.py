@@ -100,7 +100,7 @@ def test_nothing_is_left_of_exact_data():
 
 
 def test_data_without_an_attraction_are_refused():
-    with pytest.raises(UserError, match=r"expected an attraction; received data that give mu=-5"):
+    with pytest.raises(UserError, match=r"expected an attraction; received data with mu=-5"):
         body().fit(statistics(mu=-5.0))
 
 

@@ -111,7 +111,9 @@ def test_what_is_not_known_is_a_message():
     for flow in (steered(PUSHED, TIMES, CONTROLS), wrapped(steered(PUSHED, TIMES, CONTROLS), lambda f: f)):
         with pytest.raises(UserError, match="flow: expected the time at which a step begins"):
             flow(STATES, 0.1)
-    with pytest.raises(UserError, match=r"received some of controls. `ahnn.dynamics.flow_at_time.steered`"):
+    with pytest.raises(
+        UserError, match=r"received some that depend on controls. `ahnn.dynamics.flow_at_time.steered`"
+    ):
         Bound(PUSHED, 0.0)(STATES, 0.1)
     for times, controls in (
         (TIMES, CONTROLS[:, :1]),

@@ -18,7 +18,7 @@ from ahnn.estimation.state import initial_state
 
 NOTES = {"stream": "line 3", "of": "a cart"}
 STATE = initial_state(initial_belief([[1.0, -2.0], [3.0, 4.0]], torch.eye(2)), 0.5)
-REFUSED = "path: expected a file written by save_state, of this version; received .* Begin again"
+REFUSED = "path: expected a file written by save_state, of this version; received .* Start over"
 
 
 def same(state: FilterState) -> bool:

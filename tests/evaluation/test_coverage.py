@@ -71,7 +71,7 @@ def test_one_direction_refutes_bands_that_are_too_narrow_and_else_says_nothing(t
     assert few.scatter == pytest.approx(0.5, rel=0.02)
     assert narrow.scatter == pytest.approx(2.5, rel=0.02)
     assert narrow.verdict == "too narrow"
-    assert few.sentence() == "along 1 independent directions errors are 0.50 of them: " + few.verdict
+    assert few.sentence() == "errors along 1 independent directions are 0.50 deviations: " + few.verdict
 
 
 def drawn_errors(directions, rows, width):
@@ -109,7 +109,7 @@ def test_forecasts_whose_right_bands_could_be_half_as_wide_are_not_judged():
     shares = (0.68, 0.95, 1.0)
     assert right_bands(shares, ((0.1, 1), (0.6, 1), (0.9, 1))) == "too few independent directions to tell"
     interval = ((0.6, 0.7), (0.94, 0.97), (0.98, 1))
-    assert right_bands(shares, interval).endswith("19 draws of 20: right")
+    assert right_bands(shares, interval).endswith("19 of 20 draws: right")
     assert right_bands((0.5, 0.8, 0.9), interval).endswith("too narrow")
     assert right_bands((0.9, 0.99, 1.0), interval).endswith("too wide")
 
@@ -135,9 +135,9 @@ def test_an_evaluation_tells_and_draws_the_band(tmp_path):
     assert (
         findings.rows[0]
         .note.splitlines()[1]
-        .startswith("its bands of 1, 2 and 3 standard deviations hold 100, 100, 100 %")
+        .startswith("bands of 1, 2 and 3 standard deviations contain 100, 100, 100 %")
     )
-    assert "errors are 0.50 of them: too few independent directions to tell)" in findings.rows[0].note
+    assert "are 0.50 deviations: too few independent directions to tell)" in findings.rows[0].note
     assert findings.numbers["uncertainty"]["coverage"] == [1, 1, 1]
     assert findings.numbers["uncertainty"]["test"]["directions"] == 1
     assert findings.numbers["uncertainty"]["determined"] == 1.0

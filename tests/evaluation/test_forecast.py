@@ -247,7 +247,7 @@ def test_a_robust_check_says_what_it_leaves_out():
     right = forecast(Learned(LONG.stiffness), segment, known(1e-9), "huber")
     assert right is not None
     assert right.outliers < 1e-3 < robust.outliers
-    assert "% left out as outliers" in robust.sentence()
+    assert "% excluded as outliers" in robust.sentence()
 
 
 def test_states_at_times_are_exact_and_there_are_none_beyond_the_end():

@@ -38,7 +38,7 @@ def test_a_right_model_leaves_the_noise():
     assert found.band[0] < 1 < found.band[1]
     assert found.band[1] - found.band[0] == pytest.approx(4 * (2 / (40 * 29)) ** 0.5, rel=0.03)
     assert found.lost == 0
-    assert "of the noise's variance" in found.sentence()
+    assert "times the noise variance" in found.sentence()
 
 
 def test_a_wrong_model_leaves_more_and_what_it_leaves_is_not_white():
@@ -53,7 +53,7 @@ def test_an_integrator_that_shows_beside_the_noise_is_named():
     batch = measured(noise=1e-3)
     found = explain(Spring(SPRING, "euler"), batch)
     assert found.chi_square > found.halved_steps > found.band[1]
-    assert f"half the length it leaves {found.halved_steps:#.4g}" in found.sentence()
+    assert f"half the length {found.halved_steps:#.4g}" in found.sentence()
     exact = explain(Spring(SPRING), batch)
     assert exact.halved_steps == pytest.approx(exact.chi_square, rel=1e-6)
     assert "half the length" not in exact.sentence()
@@ -65,7 +65,7 @@ def test_outliers_are_left_out_where_the_training_weighed_them_down(robust):
     found = explain(Spring(SPRING), batch, robust)
     assert found.consistent
     assert found.outliers == pytest.approx(0.05, abs=0.02)
-    assert "left out as outliers" in found.sentence()
+    assert "excluded as outliers" in found.sentence()
     assert found.numbers()["outliers"] == found.outliers
     assert explain(Spring(SPRING), batch).lost > 0.6 * len(batch.values)
     assert explain(Spring(SPRING), measured()).outliers == 0
@@ -89,7 +89,7 @@ def test_nothing_explained_is_said_in_words():
         Spring(SPRING), batch._replace(values=1e9 * torch.randn(batch.values.shape, dtype=torch.float64))
     )
     assert found.lost == 3
-    assert found.sentence() == "from no start does it meet the measurements of any of 3 unseen trajectories"
+    assert found.sentence() == "no initial state fits the measurements of any of 3 unseen trajectories"
 
 
 def test_serial_correlation():

@@ -13,7 +13,7 @@ from ahnn.data.segments import Segments
 from ahnn.data.sensor import Sensor
 from ahnn.evaluation.residual_diagnosis import remedy
 
-FOLLOWS = "of what is left follows from the state: the model misses a part of the motion"
+FOLLOWS = "of the residual variance depends on the state: the model misses part of the motion"
 
 
 def stated(batch, *factors):
@@ -48,9 +48,9 @@ def test_outliers_are_named_where_the_training_counted_them(factor):
     batch = stated(measured(outliers=0.05, gaps=0.2), factor)
     said = remedy(Spring(SPRING), batch, "none").split("; ")
     assert len(said) == (1 if factor == 1 else 2)
-    share, _, rest = said[-1].partition(" % of the numbers are outliers, ")
+    share, _, rest = said[-1].partition(" % of the values are outliers, ")
     assert float(share) == pytest.approx(5, abs=1.5)
-    assert rest == "which loss.robust=student weighs down"
+    assert rest == "which loss.robust=student downweights"
     assert "outliers" not in remedy(Spring(SPRING), batch, "student")
 
 

@@ -56,14 +56,14 @@ def test_a_bias_of_each_trajectory_is_not_one_of_all():
     own = torch.randn(COUNT, 1, 1, generator=generator(1), dtype=torch.float64)
     own = own - own.mean()
     said = remedy(Spring(SYSTEM), batch(white() + own), "none")
-    assert said.startswith("each trajectory has a bias of its own: q1 ")
+    assert said.startswith("each trajectory has its own bias: q1 ")
     assert float(said.split("q1 ")[1].split()[0]) == pytest.approx(float(own.std()), rel=0.2)
 
 
 @pytest.mark.parametrize("memory", [0.4, 0.8])
 def test_colour_is_said_with_what_it_does_to_bands(memory):
     said = remedy(Spring(SYSTEM), batch(coloured(memory)), "none")
-    assert said.startswith("the noise is coloured: neighbours correlate by q1 +")
+    assert said.startswith("the noise is coloured: successive values correlate by q1 +")
     assert float(said.split("q1 +")[1].split()[0]) == pytest.approx(memory, abs=0.12)
     widening = ((1 + memory) / (1 - memory)) ** 0.5
     assert float(said.split("are up to ")[1].split()[0]) == pytest.approx(widening, rel=0.25)
@@ -72,7 +72,7 @@ def test_colour_is_said_with_what_it_does_to_bands(memory):
 def test_errors_of_the_dynamics_are_no_colour():
     softer = dataclasses.replace(SYSTEM, stiffness=1.02 * SYSTEM.stiffness)
     said = remedy(Spring(softer), batch(white()), "none")
-    assert said.endswith("follows from the state: the model misses a part of the motion")
+    assert said.endswith("depends on the state: the model misses part of the motion")
 
 
 def test_a_bias_that_cannot_show_is_said():
@@ -81,7 +81,7 @@ def test_a_bias_that_cannot_show_is_said():
     free = make_dynamics("hamiltonian", **options, inputs="cartesian")
     held = make_dynamics("hamiltonian", **options, inputs="cartesian", forces={"springs": SPRINGS})
     seen = batch(white())
-    assert "would not show" in invisible(free, seen)
+    assert "would go unnoticed" in invisible(free, seen)
     assert invisible(held, seen) == ""
     assert invisible(make_dynamics("hamiltonian", **options, inputs="radial"), seen) == ""
     elsewhere = seen._replace(instrument=seen.instrument._replace(measurement=GroundStation(40.0, 10.0)))

@@ -8,6 +8,7 @@ from helpers import SYSTEMS, close, random_states
 
 from ahnn.errors import UserError
 from ahnn.integrators import GaussLegendre4
+from ahnn.integrators.implicit import _of_block
 
 EPS = torch.finfo(torch.float64).eps
 
@@ -66,3 +67,10 @@ def test_steps_do_not_know_the_units(power):
     expected = method.increment(lambda x: x @ turn.T, x, 0.1)
     unit = 2.0**power
     assert torch.equal(method.increment(lambda x: x @ turn.T, unit * x, 0.1) / unit, expected)
+
+
+def test_sizes_are_those_of_positions_and_of_momenta():
+    """In other units, momenta of size 1e6 do not excuse positions of size one."""
+    sizes = torch.tensor([[1.0, 2.0, 30.0, 40.0]])
+    assert _of_block(sizes).tolist() == [[2.0, 2.0, 40.0, 40.0]]
+    assert _of_block(sizes[:, :3]).tolist() == [[30.0, 30.0, 30.0]]

@@ -116,7 +116,7 @@ def test_several_trainings_show_their_spread_and_a_picture(here, cache, capsys, 
     small(here / "known", cache, seed=2, band=True)
     mixed = ["run=[known,one]", "start=[0.2,0.1]", "start_sd=[1e-9,1e-9]", "duration=1", "output=mixed.csv"]
     assert call("ahnn.predict", *mixed) == 0
-    assert "1 sigma: that of the start and of what the runs differ by" in caplog.text
+    assert "1 sigma: from the start and the differences between the runs" in caplog.text
     pair = torch.stack([ahnn.load(name).rollout([0.2, 0.1], steps=10)[0, :, 0] for name in ("known", "one")])
     close(column(rows(here / "mixed.csv"), "sd_q [m]")[1:], pair.std(0)[1:], 1e-3)
     assert (here / "out.png").read_bytes()[:4] == b"\x89PNG"
@@ -127,7 +127,7 @@ def test_several_trainings_show_their_spread_and_a_picture(here, cache, capsys, 
 def test_a_start_with_standard_deviations_has_a_band_that_goes_along_with_it(here, cache, caplog):
     arguments = [MOLNIYA, START, "duration=1d", "step=1d", "output=orbit.csv"]
     assert call("ahnn.predict", *arguments, "start_sd=[1,0.001]") == 0
-    assert "that of the start; how well the dynamics are known these weights do not say" in caplog.text
+    assert "from the start only; these weights carry no uncertainty of the dynamics" in caplog.text
     first, last = rows(here / "orbit.csv")
     known = [float(first[f"sd_{name}"]) for name in ("x [km]", "z [km]", "vy [km/s]")]
     assert known == pytest.approx([1, 1, 0.001], rel=1e-15)
@@ -166,7 +166,7 @@ def test_leaving_the_training_data_is_one_line_and_a_flag(here, caplog):
 def test_weights_of_an_earlier_version_say_that_novelty_is_not_known(here, cache, caplog):
     small(here / "run", cache, domain=False)
     assert call("ahnn.predict", "run=run", "start=[0.2,0.1]", "duration=1", "output=out.csv") == 0
-    assert "novelty: not known" in caplog.text
+    assert "novelty: unknown" in caplog.text
     assert "novelty [1]" not in rows(here / "out.csv")[0]
 
 

@@ -46,13 +46,13 @@ def deviations(row):
 @pytest.mark.parametrize(
     ("given", "more", "said"),
     [
-        ({"frame": "ITRF2014"}, [], "expected an inertial frame; received ITRF2014. frame= names"),
+        ({"frame": "ITRF2014"}, [], "expected an inertial frame; received ITRF2014. Set frame= to"),
         ({"center": "MARS"}, [], "expected centre EARTH, that of the model; received MARS"),
         ({"center": "MARS"}, ["frame=[GCRF,EARTH]"], "expected centre EARTH, that of the model"),
         ({}, ["frame=[TEME,EARTH]"], "expected frame TEME, that of the model; received EME2000"),
         ({"frame": "TNW"}, ["frame=[GCRF]"], "expected frame GCRF, that of the model; received TNW"),
         ({"clock": "UT1"}, ["frame=[EME2000,EARTH,UTC]"], "time system: expected UT1, or two of UTC"),
-        ({}, ["epoch=2024-03-01T12:00:00"], "epoch: expected none, since the file of the start has its own"),
+        ({}, ["epoch=2024-03-01T12:00:00"], "epoch: expected none, since the start file has its own"),
         ({"axes": "TNW"}, [], "expected a covariance in EME2000 or RTN; received one in TNW"),
     ],
 )
@@ -99,7 +99,7 @@ def test_the_covariance_of_the_first_state_goes_along_and_start_sd_takes_its_pla
     )
     assert call("ahnn.predict", MOLNIYA, "start=a.yaml", *SHORT, "output=b.csv", "start_sd=[5,0.1]") == 0
     assert deviations(first("b.csv"))[0] == pytest.approx(5)
-    assert "start_sd: in place of the covariance of a.yaml" in caplog.text
+    assert "start_sd: replaces the covariance of a.yaml" in caplog.text
     assert first("b.csv")["epoch"] == "2024-03-01T12:00:00.000"
 
 
@@ -114,7 +114,7 @@ def test_a_covariance_of_another_epoch_is_not_that_of_the_start(caplog):
     two = Ephemeris("A", "A", "EARTH", "EME2000", "UTC", NOON, np.array([0.0, 60.0]), np.stack([STATE] * 2))
     write_oem("start.oem", [two._replace(covariances=(Covariance(60.0, P),))])
     assert call("ahnn.predict", MOLNIYA, "start=start.oem", *SHORT, "output=out.csv") == 0
-    assert "its covariances are of other epochs than its states" in caplog.text
+    assert "its covariances belong to other epochs than its states" in caplog.text
     assert "sd_x [km]" not in first()
 
 

@@ -37,7 +37,9 @@ def test_coarse_samples_of_an_orbit_are_those_of_fine_ones(dt):
 
 def test_a_step_that_no_substeps_save_is_refused():
     system = dataclasses.replace(MOLNIYA, dt=1e6, steps=10)
-    with pytest.raises(UserError, match=r"molniya: expected a truth .*received dt=1e\+06.*Shorten system.dt"):
+    with pytest.raises(
+        UserError, match=r"molniya: expected reference states .*received dt=1e\+06.*Shorten system.dt"
+    ):
         generate(system, 4, 0)
 
 

@@ -125,11 +125,11 @@ def test_a_given_start_is_followed_and_a_stopped_stream_goes_on(folder, tmp_path
     state, covariance, orbit = last_of(tmp_path / "track.oem")
     off = state - arc.states(np.array([(orbit.start - EPOCH) / 1e12 + orbit.times[-1]]))[0]
     assert off @ np.linalg.solve(covariance, off) < 30  # of 6, six times in ten million
-    (nis,) = re.findall(r"mean NIS of a number (\S+);", caplog.text)
+    (nis,) = re.findall(r"mean NIS per value (\S+);", caplog.text)
     assert 0.4 < float(nis) < 1.4  # ranges are twice as good as is said
     before = (tmp_path / "track.csv").read_bytes()
     assert follow(folder, tmp_path, *words) == 0
-    assert "going on behind line 49" in caplog.text
+    assert "resuming after line 49" in caplog.text
     assert (tmp_path / "track.csv").read_bytes() == before
 
 
@@ -173,9 +173,9 @@ def test_the_flow_is_the_path_and_its_transition_the_sensitivities():
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["start=fit"], "fitted: expected how many measurements are fitted"),
-        (["start=fit", "fitted=30", "epoch=2024-01-01"], "epoch: expected none beside orbit="),
-        (["start=fit", "fitted=30", "run=a"], "run: expected a key that goes with orbit="),
+        (["start=fit"], "fitted: expected the number or fraction of measurements"),
+        (["start=fit", "fitted=30", "epoch=2024-01-01"], "epoch: expected none with orbit="),
+        (["start=fit", "fitted=30", "run=a"], "run: expected a key that applies with orbit="),
         (["start=fit", "fitted=30", "plugins=none"], "plugins: expected one that filters online"),
         (["start=fit", "fitted=30", "plugins.ukf.process_noise=force_error"], "process_noise: expected [POS"),
         (["start=fit", "fitted=30", "orbit.noise.rnage=1"], "noise: unknown key 'rnage'"),

@@ -64,7 +64,7 @@ def test_an_orbit_is_found_and_written(folder, tmp_path, capsys):
         (["start.position=[1,2]"], "start.position: expected three numbers"),
         (["forces.gravity.field=nowhere.gfc"], "nowhere.gfc: expected a file with a gravity field"),
         (["forces.gravity.degree=40"], "degree: expected 0 to 12 of EIGEN-6S; received 40"),
-        (["forces.drag=heavy"], "forces.drag: expected keys with values; received 'heavy'"),
+        (["forces.drag=heavy"], "forces.drag: expected a mapping of keys to values; received 'heavy'"),
         (["stations.south=[1,2]"], "stations.south: expected [latitude, longitude, height], degrees and m"),
         (["stations.west=[1,2,3]"], "stations.west: expected one of seen.aer"),
         (["sinex=[a.snx]"], "stations: expected coordinates of each under `stations`, or files"),
@@ -72,7 +72,7 @@ def test_an_orbit_is_found_and_written(folder, tmp_path, capsys):
         (["measurements=nowhere.aer"], "nowhere.aer"),
         (["held_out=1"], "held_out: expected float from 0 to 0.9; received 1"),
         (["corrections.troposphere=wet"], "corrections.troposphere: expected one of none, radio, laser"),
-        (["folder=/nowhere"], "folder: expected that of the measurements; received /nowhere"),
+        (["folder=/nowhere"], "folder: expected the folder of the measurements; received /nowhere"),
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(folder, words, said, capsys):

@@ -52,7 +52,7 @@ def test_a_known_bias_of_the_wrong_sign_is_named():
     )
     fit = orbit_fit(replace(with_bias, unknowns=fixed, model=model))
     words = [verdict(row) for row in residual_rows(fit, with_bias.used) if row.kind == "range"]
-    assert words[0].startswith("its bias is -500 m with the other sign")
+    assert words[0].startswith("the given bias, -500 m, has the wrong sign")
     assert "sign" not in "".join(words[1:])
 
 

@@ -33,7 +33,7 @@ def test_a_bias_a_drift_a_wide_scatter_and_likeness_are_said():
     assert "drifts by +1 m an hour" in drift or "drifts by +0.9" in drift or "drifts by +1." in drift
     assert "scatters 4" in said(4 * WHITE / WHITE.std() * 1e-3 - 4e-3 * WHITE.mean() / WHITE.std())
     wave = 1e-3 * np.sin(T / 900.0)
-    assert "neighbours err alike" in said(wave)
+    assert "successive residuals correlate" in said(wave)
 
 
 def test_a_bias_of_the_other_sign_is_said():
@@ -43,9 +43,9 @@ def test_a_bias_of_the_other_sign_is_said():
 
     # Given as +20 m and kept, it leaves -40 m; estimated from a wide prior, it comes out as -20 m.
     assert of(-0.036, (0.02, 0.0), 0.02).startswith(
-        "its bias is 20 m with the other sign; a bias of -36 m is"
+        "the given bias, 20 m, has the wrong sign; a bias of -36 m"
     )
-    assert of(0.0, (-0.0195, 1e-3), 0.02) == "its bias is 20 m with the other sign"
+    assert of(0.0, (-0.0195, 1e-3), 0.02) == "the given bias, 20 m, has the wrong sign"
     assert of(0.0, (0.0195, 1e-3), 0.02) == "fits"
     assert "sign" not in of(-0.01, (0.02, 0.0), 0.02)
 
@@ -81,7 +81,7 @@ def test_a_setup_is_checked_with_the_place_of_what_is_wrong():
     }
     assert isinstance(setup_of(plain), OrbitSetup)
     for change, words in (
-        ({"start": "here"}, "start: expected keys with values; received 'here'"),
+        ({"start": "here"}, "start: expected a mapping of keys to values; received 'here'"),
         ({"noise": {"range": float("nan")}}, "noise.range: expected a standard deviation > 0; received nan"),
         ({"forces": {"drag": {"area_to_mass": 0.0}}}, "forces.drag.area_to_mass: expected float > 0"),
         ({"forces": {"drag": {"area_to_mass": 1.0, "sd": -1.0}}}, "forces.drag.sd: expected 0 "),

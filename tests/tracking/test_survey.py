@@ -83,13 +83,13 @@ def test_a_noisy_pass_and_a_short_one_have_no_outliers():
         (
             "a.npt",
             CRD,
-            ["7 measurements of satellite lageos2, by times of transmission in UTC", "7825", "15.3 min"],
+            ["7 measurements of satellite lageos2, with times of transmission in UTC", "7825", "15.3 min"],
         ),
-        ("b.aer", TABLE, ["a satellite that it does not name", "right ascension", "no sidecar"]),
+        ("b.aer", TABLE, ["an unnamed satellite", "right ascension", "no sidecar"]),
         (
             "c.txt",
             kvn(),
-            ["4 measurements of satellite 2024-001A, by times of", "range rate", "RECEIVE_FREQ_1"],
+            ["4 measurements of satellite 2024-001A, with times of", "range rate", "RECEIVE_FREQ_1"],
         ),
         (
             "d.snx",
@@ -117,7 +117,7 @@ def test_the_command_lists_faults_and_ends_with_2(tmp_path, capsys):
     assert call("ahnn.data.__main__", "check", str(tmp_path / "a.aer")) == 2
     out, err = capsys.readouterr()
     assert out.count("fault") == 3
-    assert "received 2 faults that would mislead an orbit" in err
+    assert "received 2 faults that would spoil an orbit determination" in err
     assert call("ahnn.data.__main__", "check", str(tmp_path / "a.aer"), str(tmp_path / "b.csv")) == 2
     out, err = capsys.readouterr()
     assert "faults that would spoil a training" in err
@@ -130,7 +130,7 @@ def test_training_on_tracking_data_is_refused_by_name(tmp_path, capsys):
         call("ahnn.train", "system=files", f"system.path={tmp_path / 'a.npt'}", f"run={tmp_path / 'r'}") == 2
     )
     err = capsys.readouterr().err
-    assert "received laser ranging data (CRD). It holds no trajectories: python -m ahnn.data check" in err
+    assert "received laser ranging data (CRD). It contains no trajectories: system=sightings" in err
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="no real files beside the checkout")

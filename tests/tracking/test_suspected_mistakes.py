@@ -42,7 +42,7 @@ def test_nothing_is_named_of_noise(right):
 
 
 @pytest.mark.parametrize(
-    ("factor", "said"), [(np.pi / 180, "radians are taken for degrees"), (180 / np.pi, "degrees for radians")]
+    ("factor", "said"), [(np.pi / 180, "radians are taken as degrees"), (180 / np.pi, "degrees for radians")]
 )
 def test_angles_in_another_unit_are_named(right, factor, said):
     assert said in named(with_angles(right, factor), fitted=False)
@@ -51,7 +51,7 @@ def test_angles_in_another_unit_are_named(right, factor, said):
 def test_interchanged_stations_are_named(right):
     others = STATIONS[1], STATIONS[0], STATIONS[2]
     mistaken = replace(right, model=right.model.of(others, right.model.data))
-    assert "south and east fit where the other stands" in named(mistaken, fitted=False)
+    assert "south and east fit at each other's position" in named(mistaken, fitted=False)
 
 
 def test_a_station_that_stands_elsewhere_is_named(right):
@@ -71,7 +71,7 @@ def test_utc_for_ut1_is_named_by_directions_among_the_stars_and_not_by_ranges(ri
     assert named(stars) == ""
     said = named(replace(stars, model=model.on(turned)), turned)
     assert said.endswith("UTC given for UT1?")
-    assert float(said.split("turned by ")[1].split()[0]) == pytest.approx(-0.4, abs=0.05)
+    assert float(said.split("rotated by ")[1].split()[0]) == pytest.approx(-0.4, abs=0.05)
 
 
 def test_utc_for_ut1_is_named_by_the_bulletins():
@@ -80,5 +80,5 @@ def test_utc_for_ut1_is_named_by_the_bulletins():
     assert orientation_mistake(days, days, rotation()) == []
     (said,) = orientation_mistake(other, days, rotation())
     assert re.match(
-        r"orientation: UT1 - UTC is given as 0.0000 s, and the IERS has 0.0\d+ s: UTC given", said
+        r"orientation: UT1 - UTC is given as 0.0000 s, but the IERS gives 0.0\d+ s: UTC given", said
     )

@@ -37,6 +37,13 @@ def test_derivatives_come_first_for_their_share(share):
     assert curriculum.span == (4 if share == 0 else 6)
 
 
+@pytest.mark.parametrize(("epochs", "count"), [(5, 4), (2, 1), (1, 0), (20, 18)])
+def test_predictions_end_every_training_that_has_them(epochs, count):
+    curriculum = windowed(unit_loss(derivative=0.9), 1)
+    held = [isinstance(curriculum.at(epoch, epochs), Derivative) for epoch in range(epochs)]
+    assert held == [True] * count + [False] * (epochs - count)
+
+
 def test_a_model_begins_with_the_objective_of_the_first_epoch():
     assert isinstance(build_model("generic", SPRING, loss={"derivative": 0.5}).objective, Derivative)
     assert isinstance(build_model("generic", SPRING).objective, Recursive)

@@ -203,7 +203,7 @@ def test_the_jacobian_with_steps_that_differ_is_the_central_difference(cache):
 def test_derivatives_refuse_steps_that_differ(cache):
     data = data_module(SPRING, cache, window=4)
     batch = batch_of(data)
-    with pytest.raises(UserError, match=r"equal steps; received steps that differ.*loss.derivative=0"):
+    with pytest.raises(UserError, match=r"equal steps .*received unequal steps.*loss.derivative=0"):
         derivative_samples(batch._replace(dt=torch.full(batch.increments.shape[:2], 0.01)))
 
 

@@ -77,7 +77,7 @@ def test_a_force_is_found_from_noisy_positions_alone():
 
 
 def test_positions_tell_nothing_of_a_field_whose_momenta_are_unknown():
-    with pytest.raises(UserError, match=r"positions where the kinetic energy is known; received Position"):
+    with pytest.raises(UserError, match=r"positions with a known kinetic energy; received Position"):
         Weak().problem(Swing(), positions(2, 0.01))
 
 

@@ -86,7 +86,7 @@ def diagnosis(contents: Sequence[Content], mass: float | Sequence[float] | None,
         judged = list(whole.tracks[:: -(-len(whole.tracks) // JUDGED)])
         found += sample_findings(whole, gap)
         if content.momenta and mass is None:
-            what, remedy = "momenta of a mass that nobody states", "system.mass=..., in kg"
+            what, remedy = "momenta of an unspecified mass", "system.mass=..., in kg"
             found.append(Finding("fault", file, content.head, content.rates[0], what, remedy))
         else:
             found += velocity_findings(whole, judged, mass or 1.0)
@@ -100,4 +100,4 @@ def clash(first: Content, other: Content) -> list[Finding]:
     wrong = [name for name in KINDS if getattr(first, name) != getattr(other, name)]
     expected = f"the {', '.join(wrong)} of {first.tracks[0].file}"
     place = Place(other.tracks[0].file, other.head)
-    return [Finding.of(Fault(place, expected, "others", "Read it by itself"))] if wrong else []
+    return [Finding.of(Fault(place, expected, "others", "Read it separately"))] if wrong else []

@@ -49,7 +49,7 @@ TIMES = {
     1 / 3600: "times are 3600 times too large (s as h?)",
 }
 """Correction factors that make a track an orbit, with their meaning."""
-TURNS = {False: "positions are those of an inertial frame", True: "positions turn with the Earth"}
+TURNS = {False: "positions are in an inertial frame", True: "positions rotate with the Earth"}
 
 
 def orbit_findings(content: Content, tracks: list[Track]) -> list[Finding]:
@@ -70,12 +70,12 @@ def orbit_findings(content: Content, tracks: list[Track]) -> list[Finding]:
         said = hypothesis(times, positions, body, turning=turning)
         if said:
             found.append((track, said))
-    remedy = "Correct unit or frame; system.frame turns known frames"
+    remedy = "Correct the unit or frame; system.frame converts known frames"
     place, name = content.positions[0], (body or "Earth").capitalize()
     if len(found) > 0.9 * len(tracks):
         found = [(found[0][0]._replace(rows=np.full(1, content.head)), found[0][1])]
     return [
-        Finding("fault", track.file, int(track.rows[0]), place, f"no orbit of the {name}: {said}", remedy)
+        Finding("fault", track.file, int(track.rows[0]), place, f"not an orbit of the {name}: {said}", remedy)
         for track, said in found
     ]
 

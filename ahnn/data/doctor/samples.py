@@ -44,7 +44,7 @@ def sample_findings(content: Content, gap: float) -> Iterator[Finding]:
 def missing(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
     """Yield a finding for each missing number."""
     for k, c in zip(*np.nonzero(np.isnan(track.values)), strict=True):
-        remedy = "Nothing: the sample counts as absent"
+        remedy = "Nothing to do: the sample counts as missing"
         yield Finding("warning", track.file, int(track.rows[k]), names[c], "a missing number", remedy)
 
 
@@ -59,7 +59,7 @@ def gaps(track: Track, column: str, gap: float) -> Iterator[Finding]:
     for k in np.flatnonzero(np.diff(there) > 1):
         absent = int(there[k + 1] - there[k] - 1)
         what = f"a gap: {absent} {'sample is' if absent == 1 else 'samples are'} missing before it"
-        remedy = "Nothing: no window crosses it"
+        remedy = "Nothing to do: no window crosses it"
         yield Finding("warning", track.file, int(rows[there[k + 1]]), column, what, remedy)
 
 
@@ -71,7 +71,7 @@ def constant(content: Content, names: tuple[str, ...]) -> Iterator[Finding]:
     for c, name in enumerate(names):
         known = values[np.isfinite(values[:, c]), c]
         if len(known) and known.min() == known.max():
-            what, remedy = f"always {known[0]:g}", "Leave it out: nothing moves there"
+            what, remedy = f"always {known[0]:g}", "Leave it out: it does not move"
             level: Level = "fault" if c < len(content.positions) else "warning"
             yield Finding(level, content.tracks[0].file, content.head, name, what, remedy)
 
@@ -83,10 +83,10 @@ def too_few(contents: Sequence[Content]) -> Iterator[Finding]:
         return
     file, head, column = tracks[0].file, contents[0].head, contents[0].time
     if max(len(track.times) for track in tracks) < 2:
-        what = "one sample in each trajectory, and no step to learn from"
+        what = "one sample in each trajectory, so no step to learn from"
         yield Finding("fault", file, head, column, what, "Give more samples of a trajectory")
     elif len(tracks) == 1:
-        what = "one trajectory alone: no training, validation and test"
+        what = "a single trajectory, for training, validation and test"
         yield Finding("warning", file, head, "", what, "Cut it: system.cut=SAMPLES; or give more")
 
 
@@ -109,7 +109,7 @@ def outliers(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
     far = alone & highest & (off > FAR * doubt) & (off > LEAST * size)
     for k, c in zip(*np.nonzero(far), strict=True):
         what = f"an outlier: {off[k, c]:.2g} from the curve through its neighbours"
-        remedy = "Correct it, or empty the cell: a missing number"
+        remedy = "Correct it, or leave the cell empty"
         yield Finding("warning", track.file, int(track.rows[at[k]]), names[c], what, remedy)
 
 
@@ -123,8 +123,15 @@ def too_wide(content: Content) -> Iterator[Finding]:
             fall = (np.maximum.accumulate(angle) - angle).max()
             rise = (angle - np.minimum.accumulate(angle)).max()
             if min(fall, rise) > 2 * np.pi:
-                what = f"swings to and fro over {np.ptp(angle):.3g} rad, more than a turn"
-                yield Finding("warning", track.file, content.head, name, what, "Degrees? Then say so: [deg]")
+                what = f"oscillates over {np.ptp(angle):.3g} rad, more than a turn"
+                yield Finding(
+                    "warning",
+                    track.file,
+                    content.head,
+                    name,
+                    what,
+                    "If these are degrees, state the unit: [deg]",
+                )
                 break
 
 
@@ -146,10 +153,10 @@ def noise(content: Content, names: tuple[str, ...], gap: float) -> Iterator[Find
         if level > SHARE * step > 0:
             units = content.units.position if c < n else content.units.velocity
             what = f"noise of about {level:.2g}" + ("" if content.momenta and c >= n else f" {units}")
-            remedy = "Say it: sensor=recorded data.noise=..."
+            remedy = "Set it: sensor=recorded data.noise=..."
             yield Finding("note", file, content.head, name, what, remedy)
     if bool(rare.any()):
-        remedy = "Give more samples in a period: noise and units are not judged"
+        remedy = "Give more samples per period: noise and units were not checked"
         yield Finding(
-            "note", file, content.head, content.time, "samples too rare to tell how it moves", remedy
+            "note", file, content.head, content.time, "samples too sparse to follow the motion", remedy
         )

@@ -133,12 +133,12 @@ def finding(content: Content, c: int, file: str, row: int, ratio: float) -> Find
     level: Level = "warning" if content.momenta else "fault"
     kind = f"{name} over the mass" if content.momenta else name
     if ratio == 0:
-        what = f"{kind} is not the change of {position} per {per}: they are not even proportional"
-        return Finding(level, file, row, name, what, "Give both in one frame, an inertial one")
+        what = f"{kind} is not the change of {position} per {per}, nor proportional to it"
+        return Finding(level, file, row, name, what, "Give both in one inertial frame")
     what = f"{kind} is {ratio:.4g} times the change of {position} per {per}"
     size = abs(ratio) if abs(ratio) > 1 else 1 / abs(ratio)
     for factor, hint in FACTORS.items():
         if abs(size / factor - 1) < EXACT and ratio > 0:
             return Finding(level, file, row, name, what, f"Correct the unit: {hint}")
-    remedy = "A momentum? Give it as one, with its mass. Else correct its unit or its frame"
+    remedy = "If it is a momentum, declare it as one, with its mass; otherwise correct its unit or frame"
     return Finding(level, file, row, name, what, remedy)

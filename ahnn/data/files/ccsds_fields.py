@@ -147,7 +147,7 @@ def _of_xml(text: str, file: str, name: str) -> list[FieldMessage]:
             texts[-1] += text
 
     def entity(*_: object) -> None:
-        Place(file, parser.CurrentLineNumber).refuse("no entities of its own", "one")
+        Place(file, parser.CurrentLineNumber).refuse("no custom entities", "one")
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.CharacterDataHandler, parser.EntityDeclHandler = more, entity

@@ -31,7 +31,7 @@ def read_controls(path: Path, space: Space) -> ControlTable:
         UserError: not a table, a missing column, or times that do not increase.
     """
     if not path.is_file():
-        reason = "no regular file" if path.exists() else "No such file"
+        reason = "not a regular file" if path.exists() else "No such file"
         message = f"controls: expected numbers or a file; received {path}: {reason}"
         raise UserError(message)
     raw, aside = bytes_of(path)
@@ -50,18 +50,20 @@ def read_controls(path: Path, space: Space) -> ControlTable:
     times, unit = _times(sheet, space)
     names = [control_named(name, space.controls) for name in sheet.header.names]
     if not len(sheet.rows):
-        sheet.place.refuse("a row for each change of a control", "a header alone")
+        sheet.place.refuse("a row for each change of a control", "only a header")
     for name in space.controls:
         if names.count(name) != 1:
             expected = f"columns {', '.join(space.controls)}, the controls"
             sheet.place.refuse(expected, ", ".join(sheet.header.names))
     if others := [name for name in names if name not in (unit, *space.controls)]:
         refuse(
-            Remark(sheet.place, f"not used, since they are no controls: {', '.join(others)}", level="warning")
+            Remark(
+                sheet.place, f"not used, since they are not controls: {', '.join(others)}", level="warning"
+            )
         )
     units = {name: sheet.header.units[names.index(name)] for name in space.controls}
     if given := [f"{name} [{unit}]" for name, unit in units.items() if unit]:
-        what = f"not converted, taken in the units of the training data: {', '.join(given)}"
+        what = f"not converted, assumed to be in the units of the training data: {', '.join(given)}"
         refuse(Remark(sheet.place, what, level="warning"))
     columns = [_column(sheet, names.index(name)) for name in space.controls]
     values = torch.from_numpy(np.stack(columns, axis=1))
@@ -80,7 +82,7 @@ def _times(sheet: Sheet, space: Space) -> tuple[Array, str]:
         try:
             times = times * factor(given, space.units.time)
         except ValueError:
-            expected = f"a unit that fits {space.units.time}"
+            expected = f"a unit compatible with {space.units.time}"
             place._replace(column=name).refuse(expected, given)
     late = np.flatnonzero(~(np.diff(times) > 0))
     if len(late):
@@ -94,5 +96,5 @@ def _column(sheet: Sheet, column: int) -> Array:
     values = numbers(sheet, column, refuse)
     for k in np.flatnonzero(np.isnan(values)):
         where = Place(sheet.place.file, int(sheet.rows[k]), sheet.header.names[column])
-        where.refuse("a number in each row", "none", "Repeat the one that is held")
+        where.refuse("a number in each row", "none", "Repeat the value that is held")
     return values

@@ -37,7 +37,7 @@ UNUSED = {
     "h3": "expected accuracies",
     "h4": "transponders",
     "h5": "distance of the reflectors from the centre of mass",
-    "30": "corrections of the light's way",
+    "30": "light-path corrections",
     "40": "transponders",
     "50": "offsets of the target",
     "60": "rotation of the satellite",
@@ -130,7 +130,7 @@ class _CpfReader:
             place.refuse("20 fields", f"{len(cells)}")
         if cells[18] != "0":
             place.refuse(
-                "positions in a frame that turns with the Earth (0)", FRAMES.get(cells[18], cells[18])
+                "positions in a frame that rotates with the Earth (0)", FRAMES.get(cells[18], cells[18])
             )
         if len(cells) > 20 and cells[20] == "1":
             self.unused["that positions are of the reflectors and not of the centre of mass"] = None
@@ -159,7 +159,7 @@ class _CpfReader:
     def velocity(self, cells: list[str], place: Place) -> None:
         """Read record 20: the velocity at the position before it."""
         if not self.rows or len(cells) != 4:
-            place.refuse("direction and three velocities behind a position", f"{len(cells)} values")
+            place.refuse("direction and three velocities after a position", f"{len(cells)} values")
         numbers = [within(cell, place, -FASTEST, FASTEST) / 1000 for cell in cells[1:]]
         self.velocities[len(self.rows) - 1] = numbers
 

@@ -98,7 +98,7 @@ def sets_of(text: str, file: str, note: Note) -> list[ElementSets]:
             damaged.add(row)
         if line[0] == "1":
             if pending is not None:
-                note(Fault(Place(file, pending[0]), "a line 2 behind it", "none"))
+                note(Fault(Place(file, pending[0]), "a line 2 after it", "none"))
             pending = row, line[:LENGTH]
         elif pending is None or pending[1][2:7] != line[2:7]:
             before = "none" if pending is None else repr(pending[1][2:7])
@@ -109,7 +109,7 @@ def sets_of(text: str, file: str, note: Note) -> list[ElementSets]:
                 found.append(ElementSets(place._replace(row=pending[0]), (pending[1], line[:LENGTH])))
             pending = None
     if pending is not None:
-        note(Fault(Place(file, pending[0]), "a line 2 behind it", "none"))
+        note(Fault(Place(file, pending[0]), "a line 2 after it", "none"))
     return found
 
 

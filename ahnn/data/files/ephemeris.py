@@ -28,7 +28,7 @@ HEADER = ("CREATION_DATE", "ORIGINATOR", "MESSAGE_ID", "CLASSIFICATION")
 VERSIONS = ("1.0", "2.0", "3.0")
 
 
-ALONE = "Give the ephemeris alone"
+ALONE = "Give the ephemeris in a separate file"
 FIXED = ("EME2000", "GCRF", "ICRF")
 """Frames without an epoch."""
 SLACK = epochs.SECOND // 1000
@@ -214,7 +214,7 @@ def remarks(blocks: list[MessageBlock], *, covariances: bool = True) -> list[Rem
             names["covariances"] = None
         for key in block.meta:
             if key not in (*USED, *UNUSED):
-                what = f"{key} is no keyword of an OEM, and is not used{nearest(key, USED)}"
+                what = f"{key} is not a keyword of an OEM, and is not used{nearest(key, USED)}"
                 found.append(Remark(block.place, what, "Correct its name, or leave it out", "warning"))
     if names:
         found.append(Remark(Place(blocks[0].place.file), f"not used: {', '.join(names)}"))

@@ -67,10 +67,10 @@ def _offset(found: re.Match[str], *, utc: bool) -> int:
         return 0
     ahead, rest = int(found["ahead"]), int(found["rest"] or 0)
     if ahead > 15 or rest > 59 or found["hour"] is None:
-        message = "an offset from UTC such as +02:00 behind a time"
+        message = "an offset from UTC such as +02:00 after a time"
         raise ValueError(message)
     if (ahead or rest) and not utc:
-        message = "an epoch without an offset, since its clock is not UTC"
+        message = "an epoch without an offset, since its time scale is not UTC"
         raise ValueError(message)
     return (60 * ahead + rest) * (-1 if found["sign"] == "-" else 1)
 

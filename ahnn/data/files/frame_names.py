@@ -14,7 +14,7 @@ SPELLINGS = {
     **{clock: clock for clock in ("UTC", "TAI", "GPS", "TT", "TDB")},
 }
 """Canonical name for each capitalised synonym of frames, centres and time scales."""
-SIDECAR = "The key frame of a sidecar says it"
+SIDECAR = "Set it with the key frame of a sidecar"
 ROTATING = ("ITRF", "ECEF", "EFG", "GTOD", "GRC", "TDR", "WGS")
 """Prefixes of the names of Earth-fixed frames."""
 
@@ -34,4 +34,4 @@ def known(frame: str) -> str:
 def remedy(*given: str) -> str:
     """Return a remedy for different frames: a key if they can be transformed, else manual work."""
     turnable = len({frame.split(",")[0] for frame in given}) > 1 and all(map(known, given))
-    return "system.frame=GCRF turns all into one" if turnable else "Convert one of them"
+    return "system.frame=GCRF converts all of them" if turnable else "Convert one of them"

@@ -2,7 +2,7 @@
 
 TEME is rotated to the terrestrial frame by the sidereal time of 1982, as SGP4 defines it (Vallado et al.,
 AIAA 2006-6753), and from there into GCRF by IAU 2006/2000A (IERS Conventions 2010). Polar motion and UT1 -
-UTC are left out: of the turn from TEME they are no part, and for ITRF docs/frames.md lists the errors.
+UTC are neglected: the rotation from TEME does not involve them; docs/frames.md lists the errors for ITRF.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def turned(content: Content, frame: str, file: str) -> Content:
     if given == frame:
         return content
     if not given:
-        expected = f"a frame that can be turned into {frame}: {', '.join((*NAMES, 'ITRF'))}"
+        expected = f"a frame that can be converted to {frame}: {', '.join((*NAMES, 'ITRF'))}"
         place.refuse(expected, content.frame or "none", "" if content.frame else SIDECAR)
     centre = [word for word in content.frame.upper().split(", ")[1:2] if word in CENTRES]
     if given not in INERTIAL and centre not in ([], ["EARTH"]):

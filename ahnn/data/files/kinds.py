@@ -38,7 +38,7 @@ ABOUT: dict[Kind, str] = {
     "cpf": "laser ranging predictions (CPF)",
     "tdm": "a tracking data message (TDM)",
     "crd": "laser ranging data (CRD)",
-    "station_table": "a table of what stations measured",
+    "station_table": "a table of station measurements",
     "sinex": "coordinates of stations (SINEX)",
     "bulletin_b": "a Bulletin B of the IERS",
 }
@@ -75,13 +75,13 @@ MESSAGES = {
 REMEDIES = {"OCM": "Write its trajectory as an OEM"}
 BINARY = {
     b"PK\x03\x04": "a zip archive, such as .xlsx or .npz",
-    b"\xd0\xcf\x11\xe0": "a file of an old Excel",
+    b"\xd0\xcf\x11\xe0": "an old Excel file",
     b"\x93NUMPY": "a NumPy array",
     b"\x1f\x8b": "a gzip archive",
     b"\x89HDF": "an HDF5 file",
     b"CDF": "a NetCDF file",
     b"DAF/": "a SPICE kernel",
-    b"SQLite format 3": "a database of SQLite",
+    b"SQLite format 3": "an SQLite database",
     b"ARROW1": "a Feather file",
     b"%PDF": "a PDF",
 }
@@ -91,10 +91,15 @@ SIGNS: tuple[tuple[re.Pattern[str], Kind], ...] = (
     (MEAN_ELEMENTS, "omm"),
 )
 """Beginnings of the first line of supported formats."""
+SIGHTING_COLUMNS = re.compile(
+    r"(?i)(?=.*[,;\t])(?=.*\b(station|sensor)\b)(?=.*\b(range|elevation|declination)(_|\b))"
+)
+"""Header of a table of what stations measured."""
 LINES: tuple[tuple[re.Pattern[str], Kind], ...] = (
     (re.compile(r"\s*H1\s+CPF\b", re.IGNORECASE), "cpf"),
     (re.compile(r"\s*H1\s+CRD\b", re.IGNORECASE), "crd"),
     (re.compile(r"\s*\d{4}-\S+T\S+\s+(RANGE|RANGE_RATE|AZ_EL|RA_DEC)\s+\S+\s+[-+.\d]"), "station_table"),
+    (SIGHTING_COLUMNS, "station_table"),
     (re.compile(r"\s*BULLETIN B \d+", re.IGNORECASE), "bulletin_b"),
 )
 """Beginnings of the first lines that are not comments."""
@@ -102,11 +107,11 @@ TEXTS = (
     (re.compile(r".{60}(RINEX|CRINEX) VERS"), "RINEX"),
     (re.compile(r".{60}(IONEX|ANTEX) VERS"), "IONEX or ANTEX"),
     (re.compile(r"%=(TRO|BIA)"), "SINEX of the troposphere or of biases"),
-    (re.compile(r"stk\.v\.", re.IGNORECASE), "a file of STK"),
+    (re.compile(r"stk\.v\.", re.IGNORECASE), "an STK file"),
     (re.compile(r"[\[{]"), "JSON"),
-    (re.compile(r"\*{20,}"), "an answer of JPL Horizons"),
+    (re.compile(r"\*{20,}"), "an output of JPL Horizons"),
     (re.compile(r"(product_type|begin_of_head)\b"), "a gravity field (GFC)"),
-    (re.compile(r"\s*\d{4} [A-Z]{3} +\d+ =JD"), "leap seconds (tai-utc.dat), which are known here"),
+    (re.compile(r"\s*\d{4} [A-Z]{3} +\d+ =JD"), "leap seconds (tai-utc.dat), which ahnn already knows"),
 )
 """Beginnings of the first line of unsupported formats."""
 

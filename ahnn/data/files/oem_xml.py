@@ -103,7 +103,7 @@ class _Reader:
 
     def entity(self, *_: object) -> None:
         """Reject entities, which could expand a small file to a huge one."""
-        self.place.refuse("no entities of its own", "one")
+        self.place.refuse("no custom entities", "one")
 
     def end(self, name: str) -> None:
         """End an element: a text, or a group of them."""

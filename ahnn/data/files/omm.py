@@ -159,7 +159,7 @@ def _orbit(one: FieldMessage, model: Any, note: Note) -> MeanOrbit:
         one.at("EPOCH").refuse("an epoch from 1957 to 2100", repr(one.values["EPOCH"]))
     known = (*SAID, *ELEMENTS, *UNUSED, "EPOCH", "OBJECT_NAME", *PUBLISHED)
     if other := [name for name in one.unknown(known) if not name.startswith(("C", "COV_"))]:
-        note(Remark(one.place, f"no keywords of an OMM, not used: {', '.join(other)}", "", "warning"))
+        note(Remark(one.place, f"not keywords of an OMM, not used: {', '.join(other)}", "", "warning"))
     name = one.values.get("NORAD_CAT_ID") or one.values.get("OBJECT_NAME") or one.text("OBJECT_ID")
     return MeanOrbit(one.place, name, _satellite(values, start, model), start)
 

@@ -42,7 +42,7 @@ def read_parquet(raw: bytes, file: str, note: Note = refuse) -> Sheet:
         said = (field.metadata or {}).get(b"unit")
         text = unit if said is None else said.decode()
         if unit not in (None, text):
-            place._replace(column=name).refuse(f"[{text}], as in its metadata", f"[{unit}]", "Say it once")
+            place._replace(column=name).refuse(f"[{text}], as in its metadata", f"[{unit}]", "State it once")
         units.append(text)
         if other := [key.decode(errors="replace") for key in field.metadata or {} if key not in OURS]:
             note(Remark(place._replace(column=name), f"not used: metadata {', '.join(other)}"))

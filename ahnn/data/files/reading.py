@@ -70,10 +70,10 @@ def parsed(path: Path, raw: bytes, aside: bytes | None, reading: FileReading, no
         said = sidecar.Sidecar() if aside is None else sidecar.parse(decoded(aside, beside), str(beside))
         return turned([of_sheet(sheet, said, weighed=weighed, note=note)], [sheet.place], reading)
     if kind in kinds.TRACKING:
-        remedy = "It holds no trajectories: python -m ahnn.data check looks it over, docs/tracking.md"
+        remedy = "It contains no trajectories: system=sightings learns from it, docs/tracking.md"
         Place(file).refuse(kinds.READ, kinds.ABOUT[kind], remedy)
     if aside is not None:
-        note(Remark(Place(str(beside)), f"not used: {path.name} says its units and frame itself"))
+        note(Remark(Place(str(beside)), f"not used: {path.name} states its own units and frame"))
     text = decoded(raw, path)
     if kind in ("elements", "omm"):
         read = elements.content if kind == "elements" else omm.omm_content

@@ -55,7 +55,7 @@ class Recordings(ABC):
         unsound: bool,
     ) -> None:
         if space.frame.upper().startswith(ROTATING):
-            told = "%s: frame %s rotates: mass times velocity is no momentum in it"
+            told = "%s: frame %s rotates: mass times velocity is not a momentum in it"
             log.warning(told, space.name, space.frame)
         self.space, self.positions_only = space, not contents[0].rates
         self.momenta = contents[0].momenta
@@ -72,7 +72,7 @@ class Recordings(ABC):
         if faults:
             (_, file, row, column, what, remedy), rest = faults[0], len(faults) - 1
             more = f", and {rest} more" if rest else ""
-            expected = f"{Place(file, row, column)}: expected sound data; received: {what}{more}. {remedy}"
+            expected = f"{Place(file, row, column)}: expected valid data; received: {what}{more}. {remedy}"
             message = f"{expected}. {self.lists}system.unsound=true trains anyway"
             raise UserError(message)
 

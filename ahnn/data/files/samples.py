@@ -16,7 +16,7 @@ from ahnn.types import Trajectories
 Array = NDArray[np.float64]
 ON_GRID = 0.01
 """Tolerance of sample times, as a fraction of the step, for detecting a regular grid."""
-APART = "an id (a column of tables) or a segment (of messages) of its own"
+APART = "a separate id (column of a table) or segment (of a message)"
 FILL = 20
 """Ratio of missing to present samples above which a gap separates two trajectories."""
 
@@ -105,9 +105,9 @@ def filled(track: Track, gap: float, *, linear: bool = False) -> Track:
     if not counts.sum() <= FILL * len(track.times):
         k = int(counts.argmax())
         Place(track.file, int(track.rows[k + 1])).refuse(
-            f"gaps with at most {FILL} absent samples for each that is there",
+            f"gaps with at most {FILL} missing samples per sample present",
             f"one of {counts[k]:.15g} steps",
-            f"Give what lies on either side {APART}",
+            f"Give the two sides {APART}",
         )
     ends = np.concatenate(([0], counts.astype(np.int64).cumsum()))
     times = np.interp(np.arange(ends[-1] + 1), ends, track.times)
@@ -129,9 +129,10 @@ def cut(track: Track, samples: int | None) -> list[Track]:
     return [track.part(part) for part in np.array_split(np.arange(len(track.times)), count)]
 
 
-def trimmed(track: Track) -> Track:
-    """Trim a track to the range from its first to its last complete sample."""
-    chosen = np.flatnonzero(np.isfinite(track.values).all(1))
+def trimmed(track: Track, *, partly: bool = False) -> Track:
+    """Trim a track to the range from its first to its last complete sample, or partly known one."""
+    there = np.isfinite(track.values)
+    chosen = np.flatnonzero(there.any(1) if partly else there.all(1))
     return track.part(slice(chosen[0], chosen[-1] + 1) if len(chosen) else slice(0))
 
 

@@ -67,8 +67,9 @@ def sgp4_content(
     step, duration = span
     if step is None or duration is None or duration < step:
         message = (
-            "system.step, system.duration: expected seconds between samples and of a whole trajectory, that "
-            f"SGP4 propagates from the {named} of {file}; received {step} and {duration}"
+            "system.step, system.duration: expected the sampling interval and the duration of "
+            f"trajectories, in seconds, which SGP4 propagates from the {named} of {file}; received {step} "
+            f"and {duration}"
         )
         raise UserError(message)
     model = library("sgp4.api", "sgp4", "orbit", file)
@@ -101,7 +102,7 @@ def propagated(model: Any, one: MeanOrbit, times: NDArray[np.float64]) -> Track:
     if len(wrong := np.flatnonzero((codes != 0) | ~np.isfinite(positions).all(1))):
         reason, k = model.SGP4_ERRORS.get(int(codes[wrong[0]]), "no finite position"), wrong[0]
         one.place.refuse(
-            "elements that SGP4 propagates", f"after {times[k]:g} s: {reason}", "Shorten system.duration"
+            "elements that SGP4 can propagate", f"after {times[k]:g} s: {reason}", "Shorten system.duration"
         )
     rows = np.full(len(times), one.place.row, dtype=np.int64)
     return Track(one.name, one.place.file, rows, times, np.concatenate((positions, velocities), axis=1))

@@ -76,7 +76,7 @@ def with_units(header: Header, sidecar: Sidecar, place: Place) -> Header:
         if name not in units:
             place.refuse(f"a column {name!r} (units)", ", ".join(header.names) + nearest(name, header.names))
         if units[name] not in (None, text):
-            remedy = "Say it once"
+            remedy = "State it once"
             place._replace(column=name).refuse(f"[{text}], as in the sidecar", f"[{units[name]}]", remedy)
         units[name] = text
     return Header(header.names, tuple(units.values()))

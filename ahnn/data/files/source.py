@@ -41,7 +41,7 @@ class Files(Recordings):
         UserError: a file that cannot be read, with row and column, or incompatible files.
     """
 
-    lists = "python -m ahnn.data check lists all; "
+    lists = "`python -m ahnn.data check` lists all; "
 
     def __init__(
         self,
@@ -97,7 +97,7 @@ def require_different(paths: list[Path]) -> None:
 def together(paths: list[Path], contents: list[Content]) -> Content:
     """Return the first of several contents after checking that they match; raises UserError otherwise."""
     if not contents:
-        message = "system.path: expected a file or several; received none"
+        message = "system.path: expected one or more files; received none"
         raise UserError(message)
     for name in ("positions", "rates", "momenta", "units", "frame", "measured_controls", "linear"):
         first = getattr(contents[0], name)

@@ -98,7 +98,7 @@ class _Sp3Reader:
         self.count = int(within(line[32:39].strip(), place._replace(column="number of epochs"), 1, 1e8))
         self.system = line[46:51].strip()
         if not self.system.upper().startswith(TERRESTRIAL):
-            expected = "a frame that turns with the Earth, such as IGS20"
+            expected = "a frame that rotates with the Earth, such as IGS20"
             place._replace(column="frame").refuse(expected, repr(self.system))
 
     def epoch(self, line: str, place: Place) -> None:
@@ -173,7 +173,7 @@ class _Sp3Reader:
         ):
             if count:
                 self.note(Remark(place, f"{what}: {count}"))
-        self.note(Remark(place, f"frame {self.system} taken for ITRF; clocks and accuracies are not used"))
+        self.note(Remark(place, f"frame {self.system} taken as ITRF; clocks and accuracies are not used"))
         start = min(min(one.moments) for one in self.orbits.values())
         moving = all(None not in one.velocities for one in self.orbits.values())
         if not moving and any(any(v is not None for v in one.velocities) for one in self.orbits.values()):

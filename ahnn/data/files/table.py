@@ -6,18 +6,19 @@ import csv
 import logging
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, Literal, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ahnn.data.files.units import is_unit
 from ahnn.errors import UserError
 
 log = logging.getLogger(__name__)
 HEADER = re.compile(r"\s*(?P<name>[^\[\]()]*?)\s*([\[(](?P<unit>[^\[\]()]*)[\])])?\s*")
 MISSING = {"", "nan", "na"}
-EMPTY = "An empty cell is a missing one"
+EMPTY = "Leave the cell empty if the value is missing"
 
 LARGEST = 1e150
 """Magnitude above which squares overflow float64."""
@@ -128,7 +129,7 @@ def read_csv(text: str, file: str, note: Note = refuse) -> Sheet:
     if not lines:
         Place(file).refuse("a header and a row for each sample", "no line")
     if (count := len(there) - len(lines)) > 0:
-        note(Remark(Place(file), f"{count} {'line' if count == 1 else 'lines'} left out, behind #"))
+        note(Remark(Place(file), f"{count} {'line' if count == 1 else 'lines'} skipped, starting with #"))
     row, first = lines[0]
     delimiter, place = delimiter_of(first), Place(file, row)
     if delimiter not in first and len(first.split()) > 1 and "[" not in first:
@@ -163,7 +164,7 @@ def cells_of(line: str, delimiter: str, place: Place) -> list[str]:
         rows = csv.reader([line], delimiter=delimiter, skipinitialspace=True, strict=True)
         return [cell.strip() for cell in next(rows)]
     except csv.Error as error:
-        place.refuse("quoted cells that end in their line", f"{line[:60]!r} ({error})")
+        place.refuse("quoted cells that end on the same line", f"{line[:60]!r} ({error})")
 
 
 def header_of(cells: Sequence[str], place: Place) -> Header:
@@ -183,6 +184,17 @@ def header_of(cells: Sequence[str], place: Place) -> Header:
         names.append(name)
         units.append(found["unit"])
     return Header(tuple(names), tuple(units))
+
+
+def column_of(cell: str, known: Collection[str]) -> tuple[str, str | None]:
+    """Return name and unit of a column such as `range [km]`; of a known name also `range_km`."""
+    found = HEADER.fullmatch(cell)
+    name, unit = (found["name"], found["unit"]) if found else (cell, None)
+    stem = max((one for one in known if name.startswith(f"{one}_")), key=len, default=None)
+    if unit is None and name not in known and stem is not None:
+        said = name.removeprefix(f"{stem}_").replace("_", "/")
+        return (stem, said) if is_unit(said) else (name, None)
+    return name, unit
 
 
 def is_number(text: str) -> bool:

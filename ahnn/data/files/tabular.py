@@ -30,7 +30,7 @@ from ahnn.data.files.table import (
 from ahnn.data.files.unit_factors import scales
 from ahnn.data.files.unwrapped_angles import unwrapped
 
-NOTATION = "Write dates as year-month-day, which nobody takes for another day"
+NOTATION = "Write dates as year-month-day, which is unambiguous"
 
 
 def of_sheet(sheet: Sheet, sidecar: Sidecar, *, weighed: bool, note: Note = refuse) -> Content:
@@ -50,7 +50,7 @@ def of_sheet(sheet: Sheet, sidecar: Sidecar, *, weighed: bool, note: Note = refu
     found = roles(header, sidecar.columns, place)
     say_unused(header, found, place, note)
     if not len(sheet.rows):
-        place.refuse("a row for each sample", "a header alone")
+        place.refuse("a row for each sample", "only a header")
     times, clock, epoch = None, "", None
     if are_epochs(sheet.columns[found.time]):
         header, clock = with_clock(header, found.time, place)
@@ -83,7 +83,7 @@ def controls_of(sheet: Sheet, found: Roles, note: Note) -> Array | None:
     for column, values in zip(found.controls, columns, strict=True):
         for k in np.flatnonzero(np.isnan(values)):
             where = Place(sheet.place.file, int(sheet.rows[k]), sheet.header.names[column])
-            note(Fault(where, "a control in each row", "none", "Repeat the one that is held"))
+            note(Fault(where, "a control in each row", "none", "Repeat the value that is held"))
     return np.stack(columns, axis=1)
 
 
@@ -94,8 +94,8 @@ def say_unused(header: Header, found: Roles, place: Place, note: Note) -> None:
     if others := [name for name in unused if name not in deviations]:
         note(Remark(place, f"not used, since the sidecar does not name them: {', '.join(others)}"))
     if deviations:
-        what = f"a training uses no standard deviations of single samples: {', '.join(deviations)}"
-        remedy = "Say one for all: sensor=recorded data.noise=...; as those of a start they count"
+        what = f"a training does not use standard deviations of single samples: {', '.join(deviations)}"
+        remedy = "Set one for all: sensor=recorded data.noise=...; those of a start are used"
         note(Remark(place, what, remedy, "warning"))
 
 
@@ -141,7 +141,7 @@ def with_clock(header: Header, time: int, place: Place) -> tuple[Header, str]:
     clock = header.units[time] or "UTC"
     if clock not in TO_TT:
         place._replace(column=header.names[time]).refuse(
-            f"a clock of epochs, {', '.join(TO_TT)}", repr(clock)
+            f"a time scale of epochs, {', '.join(TO_TT)}", repr(clock)
         )
     bare = all(unit is None for k, unit in enumerate(header.units) if k != time)
     units = [None if bare else "s" if k == time else unit for k, unit in enumerate(header.units)]

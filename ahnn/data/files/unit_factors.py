@@ -45,9 +45,9 @@ def scales(header: Header, roles: Roles, place: Place, *, weighed: bool) -> Scal
     if len(without) == len(columns):
         return Scales(Units(), 1.0, (1.0,) * len(roles.positions), (1.0,) * len(roles.rates))
     if without:
-        remedy = "[1] says that a number has none"
+        remedy = "[1] is the unit of pure numbers"
         place._replace(column=header.names[without[0]]).refuse(
-            "a unit, as other columns have", "none", remedy
+            "a unit, since other columns have one", "none", remedy
         )
     found = {i: parsed(header, i, place) for i in columns}
     length = found[roles.positions[0]]

@@ -70,12 +70,20 @@ def unit(text: str) -> Unit:
     return Unit(text.strip() or "1", size, tuple(dimension))
 
 
+def is_unit(text: str) -> bool:
+    """Return whether a text is a unit with a dimension."""
+    try:
+        return unit(text).dimension != NONE.dimension
+    except ValueError:
+        return False
+
+
 def factor(theirs: str, ours: str) -> float:
     """Return the conversion factor of a unit to ours; raises ValueError for other dimensions."""
     if theirs == ours:
         return 1.0
     a, b = unit(theirs), unit(ours)
     if a.dimension != b.dimension or a.dimension == NONE.dimension:
-        message = f"a unit that fits {ours}"
+        message = f"a unit compatible with {ours}"
         raise ValueError(message)
     return a.size / b.size

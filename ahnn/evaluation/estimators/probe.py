@@ -49,8 +49,8 @@ def require_possible(
         bias = "" if setting.sensor_error is None else "bias_sd, "
         constants = "".join(f", {name}" for name in estimator.about if name != "gate")
         message = (
-            f"measurement_sd, {bias}start_sd, process_noise{constants}: expected numbers that float64 holds "
-            f"with their squares; received a filter that {reason}: measurement_sd "
+            f"measurement_sd, {bias}start_sd, process_noise{constants}: expected numbers whose squares "
+            f"are representable in float64; received a filter that {reason}: measurement_sd "
             f"{setting.measurement_sd.tolist()}, start_sd {setting.start_sd.tolist()}, {estimator.about}"
         )
         raise UserError(message)

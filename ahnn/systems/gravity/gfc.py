@@ -154,13 +154,15 @@ def require_body(mu: float, radius: float, head: Mapping[str, CoefficientLine]) 
             f"{radius:g} and {mu:g}, which is {density:.3g} kg/m^3. Write both in metres",
         )
     if radius < SMALL:
-        log.warning("%s: a body of radius %g m; its numbers count as m and s", head[RADIUS].file, radius)
+        log.warning("%s: a body of radius %g m; its values are taken in m and s", head[RADIUS].file, radius)
 
 
 def require_centred(cosines: Coefficients, sines: Coefficients, file: CoefficientLine) -> None:
     """Raise UserError for coefficients that do not refer to the body's centre of mass."""
     if abs(cosines[0, 0] - 1) > MASS:
-        file.refuse("C of n, m = (0, 0) = 1: the mass is that of the constant", f"{cosines[0, 0]:g}")
+        file.refuse(
+            "C of n, m = (0, 0) = 1, since the constant GM is that of the whole mass", f"{cosines[0, 0]:g}"
+        )
     first = max(abs(cosines[1, :2]).max(), abs(sines[1, 1]))
     if first > OFFSET:
         said = f"coefficients of degree 1 up to {first:g}. Shift the origin, or leave these rows out"

@@ -54,7 +54,7 @@ def lit_fraction(r: Array, sun: Array) -> Array:
     apart = np.arccos(np.clip(-inner(r, line)[..., 0] / (distance * away), -1.0, 1.0))
     if bool(np.all(apart >= a + b)):
         return np.ones_like(apart)
-    # Of disks that do not cross the two points come together.
+    # The two points coincide for disks that do not intersect.
     x = (apart**2 + a**2 - b**2) / (2 * np.maximum(apart, 1e-12))
     hidden = a**2 * np.arccos(np.clip(x / a, -1, 1)) + b**2 * np.arccos(np.clip((apart - x) / b, -1, 1))
     hidden = hidden - apart * np.sqrt(np.maximum(0.0, a**2 - x**2))

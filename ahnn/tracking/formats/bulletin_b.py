@@ -87,7 +87,7 @@ def bulletin_rows(text: str, file: str) -> list[tuple[float, ...]]:
                 if len(rows) > 1 and rows[-1][0] != rows[-2][0] + 1:
                     Place(file, row, "MJD").refuse("the day after the line before", f"{rows[-1][0]:.0f}")
     if not rows or not section.isdigit() or int(section) < 2:
-        Place(file).refuse("section 1 with daily values, and section 2 behind it", "another end")
+        Place(file).refuse("section 1 with daily values, and section 2 after it", "another end")
     return rows
 
 

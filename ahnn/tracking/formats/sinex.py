@@ -134,7 +134,7 @@ def _span(blocks: _Blocks, line: str, place: Place) -> None:
         place.refuse("code, point, solution, technique, start and end", repr(" ".join(cells)))
     start, end = sinex_moment(cells[4], place), sinex_moment(cells[5], place)
     if start is not None and end is not None and end < start:
-        place.refuse("an end behind the start", f"{cells[4]} to {cells[5]}")
+        place.refuse("an end after the start", f"{cells[4]} to {cells[5]}")
     blocks.spans[point_of(cells[0], cells[1]), cells[2]] = start, end
 
 
@@ -146,7 +146,7 @@ def _eccentricity(blocks: _Blocks, line: str, place: Place) -> None:
         place.refuse("code, point, solution, technique, start, end, UNE or XYZ and three numbers", repr(line))
     start, end = sinex_moment(cells[4], place), sinex_moment(cells[5], place)
     if start is not None and end is not None and end < start:
-        place.refuse("an end behind the start", f"{cells[4]} to {cells[5]}")
+        place.refuse("an end after the start", f"{cells[4]} to {cells[5]}")
     first, second, third = (within(found[k].strip(), place, -2e4, 2e4) / 1000 for k in (2, 3, 4))
     one = Eccentricity(start, end, (first, second, third), local=found[1] == "UNE")
     blocks.eccentricities.setdefault(point_of(cells[0], cells[1]), []).append(one)

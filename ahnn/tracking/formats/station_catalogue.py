@@ -94,7 +94,7 @@ class StationCatalogue:
         began = [one for one in self.solutions[code] if one.start is None or one.start <= moment]
         if not began:
             first = epochs.spelled(self.solutions[code][0].start or 0, utc=True)
-            message = f"station {code}: expected a solution of {when}; received the first from {first} on"
+            message = f"station {code}: expected a solution of {when}; received solutions from {first} on"
             raise UserError(message)
         marker = began[-1].at(moment)
         if not self.eccentricities:

@@ -123,12 +123,12 @@ def link_of(segment: TdmSegment, two_way: str) -> TdmLink:
     _judge_integration(link, meta, place)
     _judge_corrections(link, meta, place)
     if any(key.startswith(("RANGE", "DOPPLER")) for _, key, _, _ in segment.records) and ways == 2:
-        link.remarks.append(f"ranges and rates of two-way links taken for those of {_way(two_way)}")
+        link.remarks.append(f"ranges and rates of two-way links taken as those of {_way(two_way)}")
     if meta.get("DATA_QUALITY") == "DEGRADED":
         link.remarks.append("DATA_QUALITY = DEGRADED")
     for key in meta:
         if key not in KNOWN:
-            link.remarks.append(f"{key} is no keyword of a TDM, and is not used{nearest(key, KNOWN)}")
+            link.remarks.append(f"{key} is not a keyword of a TDM, and is not used{nearest(key, KNOWN)}")
     return link
 
 

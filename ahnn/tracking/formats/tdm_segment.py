@@ -91,7 +91,7 @@ def kvn_segments(text: str, file: str) -> list[TdmSegment]:
                 place.refuse("KEYWORD = epoch value", repr(line))
             segments[-1].record(key, cells[0], cells[1], place)
         else:
-            place.refuse("DATA_START behind META_STOP, META_START behind DATA_STOP", repr(line))
+            place.refuse("DATA_START after META_STOP, META_START after DATA_STOP", repr(line))
     if state != "between" or segments[-1].place.row > used[-1][0]:
         Place(file, used[-1][0]).refuse("DATA_STOP at the end of a segment", "the end of the file")
     return segments

@@ -83,7 +83,7 @@ class _TdmReader:
 
     def entity(self, *_: object) -> None:
         """Reject entities, which could expand a small file to a huge one."""
-        self.place.refuse("no entities of its own", "one")
+        self.place.refuse("no custom entities", "one")
 
     def end(self, _: str) -> None:
         """End an element: a text of the metadata or of an observation, or an observation."""

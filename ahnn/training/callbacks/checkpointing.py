@@ -31,7 +31,7 @@ def require_monitored(who: str, name: str, trainer: Trainer) -> None:
 class BestPoint(Checkpoint):
     """Writes best.ckpt after each validation with the smallest value so far.
 
-    A validation before the first step, as a training has that begins with known physics, is one of them.
+    It includes a validation before the first step, which trainings that begin at known physics have.
 
     Args:
         folder: folder of best.ckpt. It is not part of the state, so that a run may be moved.

@@ -70,7 +70,7 @@ class Attraction:
             },
         }
         note = (
-            f"r² V'(r) on the orbits learned from is the published mu of the centre times 1 "
+            "r² V'(r) on the training orbits is the published mu of the centre times 1 "
             f"{numbers['relative_difference']:+.1e}"
         )
         row = Row(Who("Kepler", "true"), case.score(beside), note)

@@ -1,4 +1,4 @@
-"""How far ahead a learned flow beats analytic ones: errors period by period, all begun alike."""
+"""Prediction horizon of a learned flow compared with analytic ones: errors per period, from equal starts."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Ahead(NamedTuple):
 @final
 @checked
 class Horizon:
-    """A learned flow beside the physics that it knows, an oblate planet's, and two-body motion.
+    """A learned flow compared with its known physics, an oblate planet, and two-body motion.
 
     Each predicts the test trajectories twice: from their first state, and from the start that fits noisy
     positions of their first samples best. Where the learned flow has known forces, these alone are a row.
@@ -57,7 +57,7 @@ class Horizon:
         period: over which errors are averaged, a day or a year in the unit of time of the data.
         unit: its name.
         beside: the oblate planet, if there is one.
-        mu: of two-body motion; a list has that of each body, whose trajectories take turns. None takes that
+        mu: mu of two-body motion, or a list of one per body, whose trajectories alternate. None takes that
             of the planet.
     """
 
@@ -120,7 +120,7 @@ class Horizon:
         nearer = {kind: periods_ahead(ahead, case.label, first, kind) for kind in ("true", "fitted")}
         whole = len(ahead[0].errors)
         beaten = ", ".join(f"{count} of {whole} from the {kind} start" for kind, count in nearer.items())
-        note = f"{self.unit}s, from the first on, in which {case.label} is nearer than {first}: {beaten}"
+        note = f"number of {self.unit}s before {first} becomes more accurate than {case.label}: {beaten}"
         numbers: dict[str, Any] = {"nearer": nearer, "unit": self.unit, "errors": {}}
         for one in ahead:
             numbers["errors"].setdefault(one.start, {})[one.name] = one.errors.tolist()
@@ -170,7 +170,7 @@ def predicted(flow: Flow, starts: Tensor, case: Case, samples: int) -> Tensor:
 
 @torch.no_grad()
 def fitted_start(flow: Flow, measured: Tensor, case: Case) -> Tensor:
-    """Return the starts (B, 6) from which a flow meets positions (B, K, 3) best, by Gauss-Newton steps.
+    """Return the starts (B, 6) from which a flow best fits positions (B, K, 3), by Gauss-Newton steps.
 
     They begin at the true start; derivatives are differences. A step that makes a fit worse is not taken.
     """

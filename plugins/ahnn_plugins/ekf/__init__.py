@@ -97,7 +97,7 @@ class LinearisedKernel(NamedTuple):
 class ExtendedKalmanFilter(GaussianFilter):
     """Extended Kalman filter with additive noise for a batch of B members, see `GaussianFilter`.
 
-    A flow or a measurement model must be differentiable by torch, or know its derivatives (`transition`,
+    A flow or a measurement model must be differentiable by torch, or provide its derivatives (`transition`,
     `ahnn.measurements.Sloped`).
 
     Attributes:

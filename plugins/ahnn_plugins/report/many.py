@@ -131,15 +131,14 @@ def _method(confidence: float) -> Markup:
         "numbers best.",
         "Floor: what exact knowledge of the equations scores from the same start with the same "
         "measurements. From a "
-        "perturbed start without measurements it is the perturbation that is scored, and hardly the model.",
-        "Spread: standard deviation over runs of one model, which differ in their seeds. It "
-        "holds what initial "
-        "weights and the order of the data do, and not the choice of the test trajectories, "
-        "which all runs share.",
+        "perturbed start without measurements the score reflects the perturbation, and hardly the model.",
+        "Spread: standard deviation over runs of one model, which differ in their seeds. It includes the "
+        "effect of initial weights and of the order of the data, but not of the choice of test "
+        "trajectories, which all runs share.",
         f"Ratios: of geometric means, with the {confidence:.0%} interval of Welch's test on "
         "logarithms; three seeds "
-        "make it wide. A claim holds if the whole interval of each of its ratios lies where the "
-        "claim wants it; it "
+        "make it wide. A claim holds if the whole interval of each of its ratios lies where the claim "
+        "requires it; it "
         "does not hold if one interval, widened for the number of ratios (Bonferroni), lies "
         "outside; all else is "
         "undecided.",

@@ -54,11 +54,11 @@ def _seeds(board: Board) -> Iterator[str]:
         listed = ", ".join(f"{model} {count}" for model, count in counts.items())
         yield f"The models have unequal numbers of runs: {listed}."
     if single := [model for model, count in counts.items() if count == 1 and len(board.entries) > 1]:
-        yield f"One run alone of {', '.join(single)}: no spread, so nothing is decided about it."
+        yield f"One run alone of {', '.join(single)}: no spread, so nothing can be decided about it."
     for model, entries in board.groups.items():
         twice = [seed for seed, n in Counter(e.seed for e in entries).items() if n > 1 and seed is not None]
         if twice:
-            yield f"{model}: seed {twice[0]} is there more than once, and counts as often."
+            yield f"{model}: seed {twice[0]} occurs more than once, and is counted each time."
 
 
 def _filters(board: Board) -> Iterator[str]:
@@ -109,4 +109,4 @@ def _lost(board: Board) -> Iterator[str]:
         rows = [r for e in entries for r in e.results.rows if r.who.process == MODEL]
         lost = [row for row in rows if not math.isfinite(row.scores.position) and row.who.start != "fitted"]
         if lost:
-            yield f"{model}: {len(lost)} of {len(rows)} scores are not finite, a prediction was lost."
+            yield f"{model}: {len(lost)} of {len(rows)} scores are not finite: a prediction diverged."

@@ -84,13 +84,13 @@ def _numbers(entry: Entry) -> Markup:
         tag("details", tag("summary", name), tag("pre", as_text(value)), class_="more")
         for name, value in entry.results.numbers.items()
     ]
-    return escaped([tag("p", "What the evaluations tell besides their scores; long lists are cut."), *parts])
+    return escaped([tag("p", "Further results of the evaluations; long lists are cut."), *parts])
 
 
 def _settings(entry: Entry) -> Markup:
     text = text_of(entry.folder)
     if not text:
-        return tag("p", "The folder holds no config.yaml.")
+        return tag("p", "The folder contains no config.yaml.")
     shown_text = tag("pre", text, tabindex="0")
     return tag("details", tag("summary", "config.yaml, as the training stored it"), shown_text)
 

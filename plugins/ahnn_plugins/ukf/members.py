@@ -197,6 +197,6 @@ def _done(name: str, batch: float, *arguments: float) -> bool:
     assert found is not None
     told = getattr(found, name)(batch, *arguments)
     if told == NO_MEMORY:
-        message = f"filter: no memory for {batch} members"
+        message = f"filter: not enough memory for {batch} members"
         raise MemoryError(message)
     return told == SOUND

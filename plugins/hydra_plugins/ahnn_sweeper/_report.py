@@ -44,7 +44,7 @@ def write(study: optuna.Study, sweep_dir: Path, config_loader: ConfigLoader, gro
         best = write_best(study, sweep_dir, config_loader, groups)
         _write_plots(study, sweep_dir)
         console.print(
-            f"the best trial runs again with: --config-dir {best.parent.parent} experiment={best.stem}"
+            f"to run the best trial again: --config-dir {best.parent.parent} experiment={best.stem}"
         )
     return count(trials).failed
 

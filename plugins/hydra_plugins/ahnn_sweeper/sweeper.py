@@ -95,7 +95,7 @@ class AhnnOptunaSweeper(Sweeper):
             raise HydraException(str(error)) from error
         except (KeyboardInterrupt, Stopped) as stop:
             known = stop if isinstance(stop, Stopped) else Stopped(signal.SIGINT)
-            raise known if str(known) else known.saying("the same command continues the search") from None
+            raise known if str(known) else known.saying("repeat the command to continue the search") from None
         if failed:
             message = f"{failed} of {self.n_trials} trials failed; the table above names them"
             raise HydraException(message)

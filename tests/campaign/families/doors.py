@@ -60,7 +60,7 @@ def answered(code: int, said: str, codes: Sequence[int] = (0, 2, 3)) -> None:
     plain(said)
     assert code in codes, f"exit code {code}: {said[-300:]}"
     if code:
-        assert said.strip(), f"exit code {code} without a word"
+        assert said.strip(), f"exit code {code} without a message"
         raise UserError(said)
 
 

@@ -87,7 +87,7 @@ def checked(path: Path, **options: object) -> Seen:
     """Return what the check reads and says; raises UserError for a fault."""
     found = examine([path], FileReading(**options))  # pyright: ignore[reportArgumentType]
     if found.faults or not found.contents:
-        message = f"expected sound data; received {[one.what for one in found.faults][:3]}"
+        message = f"expected valid data; received {[one.what for one in found.faults][:3]}"
         raise UserError(message)
     (one,) = found.contents
     times = np.concatenate([track.times for track in one.tracks]) * SI[one.units.time]
@@ -143,4 +143,7 @@ def differing(times: np.ndarray, states: np.ndarray, found: Seen) -> str:
     """Return by how much numbers differ."""
     if states.shape != found.states.shape:
         return f"{states.shape} states, received {found.states.shape}"
-    return f"times by {abs(times - found.times).max():.3g} s, states by {np.nanmax(abs(states - found.states)):.3g} m"
+    return (
+        f"times by {abs(times - found.times).max():.3g} s, states by "
+        f"{np.nanmax(abs(states - found.states)):.3g} m"
+    )

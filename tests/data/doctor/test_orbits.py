@@ -85,8 +85,8 @@ def test_a_frame_that_turns_is_told_from_one_that_does_not():
     assert misfit(t, turning, [MU["EARTH"]], turned=True) < 1e-4
     assert misfit(t, turning, [MU["EARTH"]], turned=False) > 0.1
     assert hypothesis(t, turning, "EARTH", turning=True) == ""
-    assert hypothesis(t, turning, "EARTH", turning=False) == "positions turn with the Earth"
-    assert hypothesis(t, q, "EARTH", turning=True) == "positions are those of an inertial frame"
+    assert hypothesis(t, turning, "EARTH", turning=False) == "positions rotate with the Earth"
+    assert hypothesis(t, q, "EARTH", turning=True) == "positions are in an inertial frame"
 
 
 def seen(here, left):
@@ -116,7 +116,7 @@ def test_a_mistake_is_named_where_it_explains_a_difference(here, left, named):
     assert misfit(t, q, [MU["EARTH"]], turned=False) == pytest.approx(here, abs=1e-4)
     assert misfit(t, q, [MU["EARTH"]], turned=True) == pytest.approx(left, abs=1e-4)
     for body in ("EARTH", None):
-        assert hypothesis(t, q, body, turning=False) == ("positions turn with the Earth" if named else "")
+        assert hypothesis(t, q, body, turning=False) == ("positions rotate with the Earth" if named else "")
 
 
 @pytest.mark.parametrize("doubt", [0.02, 0.145, 0.155])
@@ -159,7 +159,7 @@ def test_where_nearly_all_are_wrong_it_is_the_file_and_else_each_trajectory(wron
 def test_only_orbits_of_a_body_in_lengths_and_times_are_judged():
     given = tracks(1, 1)
     (one,) = orbit_findings(content(given, frame="GCRF, EARTH"), given)
-    assert one.what.startswith("no orbit of the Earth: positions are 1000 times too large")
+    assert one.what.startswith("not an orbit of the Earth: positions are 1000 times too large")
     assert orbit_findings(content(given, units=("1", "1")), given) == []
     assert orbit_findings(content(given, units=("s", "1")), given) == []
     assert orbit_findings(content(given, units=("1", "km")), given) == []
@@ -178,7 +178,7 @@ def test_another_body_is_judged_by_its_own_attraction():
     t, q = circle(3000.0, MU["MOON"])
     given = [Track("", "a.csv", 2 + np.arange(len(t)), t, 1000 * q)]
     (one,) = orbit_findings(content(given, frame="ICRF, MOON"), given)
-    assert one.what.startswith("no orbit of the Moon: positions are 1000 times too large")
+    assert one.what.startswith("not an orbit of the Moon: positions are 1000 times too large")
 
 
 def test_the_centre_and_too_few_samples_tell_nothing():

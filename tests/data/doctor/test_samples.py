@@ -73,7 +73,7 @@ def test_angles_that_swing_to_and_fro_over_more_than_a_turn_are_warned_of_once(t
     lost[5] = np.nan
     turning, absent = track(np.linspace(0, 50, 400)), track(np.full(9, np.nan))
     found = list(too_wide(content(turning, absent, track(lost), track(swing))))
-    said = f"swings to and fro over {max(there, back):.3g} rad, more than a turn"
+    said = f"oscillates over {max(there, back):.3g} rad, more than a turn"
     assert [(one.level, one.row, one.what) for one in found] == ([("warning", 1, said)] if seen else [])
     assert list(too_wide(content(turning))) == []
 

@@ -40,7 +40,7 @@ def checked(folder, t, states):
 def test_an_exact_orbit_has_no_noise_however_rare_its_samples(tmp_path, per_period, count):
     found = checked(tmp_path, *ellipse(per_period, count))
     assert [one.what for one in found if "noise of" in one.what or one.level != "note"] == []
-    assert bool([one for one in found if "too rare" in one.what]) or per_period != 2.2
+    assert bool([one for one in found if "too sparse" in one.what]) or per_period != 2.2
 
 
 @pytest.mark.parametrize("eccentricity", [0.3, 0.6, 0.74])
@@ -122,4 +122,4 @@ def test_a_time_beyond_all_others_is_a_fault_and_no_traceback(tmp_path, time):
     times = [*map(str, range(20)), time]
     path.write_text("t [s],x [m],vx [m/s]\n" + "".join(f"{t},{k % 3},{k % 5}\n" for k, t in enumerate(times)))
     faults = examine([path], FileReading(True), 1.0).faults
-    assert any("absent samples" in fault.what or "a finite number up to" in fault.what for fault in faults)
+    assert any("missing samples" in fault.what or "a finite number up to" in fault.what for fault in faults)

@@ -46,18 +46,18 @@ def test_what_is_wrong_is_named(bench, tmp_path):
         "min as s": "times are 60 times too small (min as s?)",
         "min and km/min as s": "times are 60 times too small (min as s?)",
         "m and m/s as km": "positions are 1000 times too large (m as km?)",
-        "Earth-fixed as inertial": "positions turn with the Earth",
-        "inertial as Earth-fixed": "positions are those of an inertial frame",
+        "Earth-fixed as inertial": "positions rotate with the Earth",
+        "inertial as Earth-fixed": "positions are in an inertial frame",
     }.items():
         found = bench.verdict(bench.ORBITS[mistake](leo, draw), tmp_path)
-        assert [one.what for one in found if one.column == "x"] == [f"no orbit of the Earth: {expected}"]
+        assert [one.what for one in found if one.column == "x"] == [f"not an orbit of the Earth: {expected}"]
         assert {one.level for one in found} == {"fault"}
     found = bench.verdict(bench.ORBITS["m/s as km/s"](leo, draw), tmp_path)
     assert {one.what for one in found} == {f"v{x} is 1000 times the change of {x} per s" for x in "xyz"}
     assert "Correct the unit: metres given as km" in found[0].remedy
     heavy = leo._replace(v=2.5 * leo.v)
     assert "is 2.5 times the change" in bench.verdict(heavy, tmp_path)[0].what
-    assert "A momentum?" in bench.verdict(heavy, tmp_path)[0].remedy
+    assert "If it is a momentum" in bench.verdict(heavy, tmp_path)[0].remedy
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -82,7 +82,7 @@ def test_an_orbit_of_another_body_and_no_orbit_pass():
     spring = np.stack([np.cos(1e-3 * t + phase) for phase in (0, 1, 2)], axis=1)
     assert orbits.hypothesis(t, spring, None, turning=False) == ""
     still = np.tile([(orbits.MU["EARTH"] / TURN**2) ** (1 / 3), 0.0, 0.0], (60, 1))
-    assert "turn with the Earth" in orbits.hypothesis(17 * t, still, "EARTH", turning=False)
+    assert "rotate with the Earth" in orbits.hypothesis(17 * t, still, "EARTH", turning=False)
 
 
 def angles(tmp_path, values, name="a.csv"):
@@ -101,7 +101,7 @@ def test_angles_may_jump_by_a_turn_and_not_swing_too_far(tmp_path):
     turning = 0.5 * np.arange(30.0)
     assert angles(tmp_path, turning) == []
     wrapped = (turning + np.pi) % (2 * np.pi) - np.pi
-    said = "an angle that jumps by a turn, 2 times: read as one that goes on"
+    said = "an angle that jumps by a turn, 2 times: read as continuous"
     assert angles(tmp_path, wrapped) == [("note", 1, "q", said)]
     swing = np.cos(0.3 * np.arange(60.0))
     assert angles(tmp_path, 3 * swing) == []
@@ -117,7 +117,7 @@ def test_canonical_momenta_that_are_no_mass_times_velocity_are_only_warned_of(tm
     (found,) = of_columns(path, FileReading(weighed=True), mass=1.0)
     assert (found.level, found.what) == ("warning", "p over the mass is 3 times the change of q per 1")
     (found,) = of_columns(path, FileReading())
-    assert (found.level, found.what) == ("fault", "momenta of a mass that nobody states")
+    assert (found.level, found.what) == ("fault", "momenta of an unspecified mass")
 
 
 @pytest.fixture
@@ -137,7 +137,7 @@ def test_the_command_shows_draws_and_ends_with_2(mislabelled, tmp_path, capsys):
     assert max(map(len, shown.out.splitlines())) <= 80
     assert "fault   swings.csv" in shown.out
     assert "1 file, 120 samples: 1 fault, 0 warnings, 0 notes" in shown.out
-    assert shown.err == "ahnn: check: expected sound data; received 1 fault that would spoil a training\n"
+    assert shown.err == "ahnn: check: expected valid data; received 1 fault that would spoil a training\n"
     drawn = {path.name for path in (tmp_path / "seen").iterdir()}
     assert drawn == {"swings.csv.png", "swings.csv.svg", ".ahnn-files"}
     assert call("ahnn.data.__main__", "check", str(ROOT / "tests" / "fixtures" / "swings.csv")) == 0
@@ -178,11 +178,11 @@ def test_a_training_asks_first(mislabelled, tmp_path, capsys):
     assert call("ahnn.train", *command) == 2
     said = capsys.readouterr().err
     assert (
-        "swings.csv, row 1, column v: expected sound data; received: v is 100 times the change of q per s"
+        "swings.csv, row 1, column v: expected valid data; received: v is 100 times the change of q per s"
         in said
     )
-    assert "python -m ahnn.data check lists all; system.unsound=true trains anyway" in said
+    assert "`python -m ahnn.data check` lists all; system.unsound=true trains anyway" in said
     assert not (tmp_path / "run").exists()
     Files("springs", str(mislabelled), unsound=True).check()
-    with pytest.raises(UserError, match="expected sound data"):
+    with pytest.raises(UserError, match="expected valid data"):
         Files("springs", str(mislabelled)).check()

@@ -58,14 +58,14 @@ def test_other_factors_and_those_of_the_wrong_sign_are_no_unit():
     for ratio in (-1000.0, -0.001, 1100.0, 930.0, 2.0, 0.5):
         (one,) = found(swing(factor=ratio))
         assert one.what == f"v is {ratio:.4g} times the change of q per s"
-        assert one.remedy.startswith("A momentum?")
+        assert one.remedy.startswith("If it is a momentum")
 
 
 def test_what_is_not_even_proportional_is_told_apart():
     track = swing()
     track.values[:, 1] = np.cos(7 * track.times)
     (one,) = found(track)
-    assert one.what == "v is not the change of q per s: they are not even proportional"
+    assert one.what == "v is not the change of q per s, nor proportional to it"
 
 
 def test_two_percent_need_no_explanation_and_four_do():

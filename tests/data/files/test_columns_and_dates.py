@@ -20,10 +20,10 @@ def test_columns_that_nothing_is_read_of_are_said(tmp_path):
         ("sd_x", "not used"),
     ]
     assert [one.what for one in notes] == [
-        "1 line left out, behind #",
-        "a training uses no standard deviations of single samples: sd_x",
+        "1 line skipped, starting with #",
+        "a training does not use standard deviations of single samples: sd_x",
     ]
-    remedy = "Say one for all: sensor=recorded data.noise=...; as those of a start they count"
+    remedy = "Set one for all: sensor=recorded data.noise=...; those of a start are used"
     assert notes[1].remedy == remedy
     (tmp_path / "a.yaml").write_text("columns: {time: t, positions: x}")
     (tmp_path / "a.csv").write_text("t,x,note\n0,1,9\n1,2,9\n")
@@ -59,7 +59,7 @@ def test_quoted_cells_are_read_and_an_open_quote_is_a_fault(tmp_path):
     (tmp_path / "a.yaml").write_text('columns: {time: t, id: id, positions: "x, east", velocities: v}')
     assert said(tmp_path / "a.csv")[0].tracks[0].values.tolist() == [[1.5, 2.0]]
     (tmp_path / "a.csv").write_text(text.replace('"1.5"', '"1.5'))
-    assert "row 2: expected quoted cells that end in their line" in refused(tmp_path / "a.csv")
+    assert "row 2: expected quoted cells that end on the same line" in refused(tmp_path / "a.csv")
     (tmp_path / "b.csv").write_text(f't,x\n0,"{"1" * 200000}"\n')
     assert "row 2: expected quoted cells" in refused(tmp_path / "b.csv")
 

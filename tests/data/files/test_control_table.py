@@ -45,7 +45,7 @@ def test_times_that_differ_by_rounding_are_the_same(span):
         assert table.at(at)[:, 0].tolist() == expected
     assert table.at(span * torch.tensor([-5e-10, 1.0], **DOUBLE))[:, 0].tolist() == [0.0, 2.0]
     with pytest.raises(
-        UserError, match=r"expected them from the start on, at -2e-.*; received the first at 0"
+        UserError, match=r"expected values from the start on, at -2e-.*; received the first at 0"
     ):
         table.at(span * torch.tensor([-2e-9, 1.0], **DOUBLE))
 
@@ -60,8 +60,8 @@ def test_times_that_differ_by_rounding_are_the_same(span):
         ("t,u\n0,1\n2,3\n1,2\n", "row 4, column t: expected times that increase; received 1"),
         ("t,u\n0,1\n1,\n", "row 3, column u: expected a number in each row; received none. Repeat"),
         ("t,u\n,1\n", "row 2, column t: expected a number in each row; received none"),
-        ("t [km],u\n0,1\n", "expected a unit that fits s; received km"),
-        ("t,u\n", "expected a row for each change of a control; received a header alone"),
+        ("t [km],u\n0,1\n", "expected a unit compatible with s; received km"),
+        ("t,u\n", "expected a row for each change of a control; received only a header"),
     ],
 )
 def test_tables_that_are_no_controls_are_refused_by_row_and_column(text, said, tmp_path):
@@ -74,7 +74,7 @@ def test_tables_that_are_no_controls_are_refused_by_row_and_column(text, said, t
 def test_what_is_no_table_is_refused(tmp_path):
     with pytest.raises(UserError, match=r"controls: .*: No such file"):
         read_controls(tmp_path / "none.csv", ONE)
-    with pytest.raises(UserError, match=r"controls: .*: no regular file"):
+    with pytest.raises(UserError, match=r"controls: .*: not a regular file"):
         read_controls(tmp_path, ONE)
     (tmp_path / "a.oem").write_text("CCSDS_OEM_VERS = 2.0\n")
     with pytest.raises(UserError, match="expected a table with time and u; received oem"):
@@ -92,4 +92,4 @@ def test_a_sidecar_of_controls_says_neither_columns_nor_a_frame(tmp_path, said):
 def test_other_columns_are_named_and_not_used(tmp_path, caplog):
     (tmp_path / "c.csv").write_text("t,u,note,more\n0,1,2,3\n")
     assert read_controls(tmp_path / "c.csv", ONE).values.tolist() == [[1.0]]
-    assert "not used, since they are no controls: note, more" in caplog.text
+    assert "not used, since they are not controls: note, more" in caplog.text

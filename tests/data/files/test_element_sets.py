@@ -48,7 +48,7 @@ def test_signs_behind_the_checksum_are_no_part_of_a_set():
 
 
 def test_lines_without_their_other_one_are_faults_and_the_next_set_is_read():
-    alone = "a line 2 behind it"
+    alone = "a line 2 after it"
     assert sets(FIRST, FIRST, SECOND) == ([2], [(1, alone)])
     assert sets(FIRST, SECOND, FIRST) == ([1], [(3, alone)])
     assert sets(SECOND, FIRST, SECOND) == ([2], [(1, "a line 1 of '00005' before it")])

@@ -62,7 +62,7 @@ def test_a_damaged_element_set_is_named(tmp_path, old, new, expected):
 
 def test_element_sets_need_a_step_and_a_duration(tmp_path):
     (tmp_path / "a.tle").write_text(VANGUARD)
-    with pytest.raises(UserError, match=r"system.step, system.duration: expected seconds"):
+    with pytest.raises(UserError, match=r"system.step, system.duration: expected the sampling interval"):
         Files("orbit", str(tmp_path / "a.tle"), step=60.0)
 
 
@@ -189,7 +189,7 @@ def test_what_is_left_out_costs_what_the_document_says():
 @pytest.mark.parametrize(
     ("header", "sidecar", "expected"),
     [
-        (["t [UTC]", *ORBIT], None, "expected a frame that can be turned into GCRF: .* none. The key frame"),
+        (["t [UTC]", *ORBIT], None, "expected a frame that can be converted to GCRF: .* none. Set it"),
         (["t [UTC]", *ORBIT], "frame: MOD", "ITRF; received MOD$"),
         (["t [s]", *ORBIT], "frame: TEME", "column t: expected epochs such as .* received numbers"),
         (["t [UTC]", "a [m]", "b [m]", "va [m/s]", "vb [m/s]"], "frame: TEME", "expected three lengths"),

@@ -42,7 +42,7 @@ def test_a_table_is_one_whatever_the_ends_of_its_lines(tmp_path):
 
 FOREIGN = {
     "CCSDS_OPM_VERS = 2.0\n": "orbit parameter message (OPM)",
-    "CCSDS_OMM_VERS = 2.0\n": "that SGP4 propagates from the mean elements (OMM)",
+    "CCSDS_OMM_VERS = 2.0\n": "which SGP4 propagates from the mean elements (OMM)",
     "CCSDS_TDM_VERS = 1.0\n": "tracking data message (TDM)",
     "CCSDS_OCM_VERS = 3.0\n": "orbit comprehensive message (OCM)",
     "CCSDS_CDM_VERS = 1.0\n": "conjunction data message (CDM)",
@@ -117,7 +117,7 @@ def test_what_is_not_used_is_said_once_and_logged(tmp_path, message, caplog):
         ("warning", notes[0].what),
         ("note", "not used: X_DDOT, Y_DDOT, Z_DDOT, COMMENT, INTERPOLATION, INTERPOLATION_DEGREE"),
     ]
-    assert "USABLE_START_TIME is no keyword of an OEM" in notes[0].what
+    assert "USABLE_START_TIME is not a keyword of an OEM" in notes[0].what
     assert "did you mean 'USEABLE_START_TIME'?" in notes[0].what
     with caplog.at_level(logging.INFO):
         Files("orbit", str(path))
@@ -130,10 +130,14 @@ def test_what_is_not_used_is_said_once_and_logged(tmp_path, message, caplog):
     ("old", "new", "expected"),
     [
         ("= 2.0", "= 7.0", "expected version 1.0, 2.0, 3.0 of an OEM; received '7.0'"),
-        ("ORIGINATOR", "SEMI_MAJOR_AXIS", "received 'SEMI_MAJOR_AXIS'. Give the ephemeris alone"),
+        (
+            "ORIGINATOR",
+            "SEMI_MAJOR_AXIS",
+            "received 'SEMI_MAJOR_AXIS'. Give the ephemeris in a separate file",
+        ),
         ("META_STOP\n", "META_STOP\nX = 7000 [km]\n", "expected a state, a covariance or META_START"),
         ("REF_FRAME", "REF_FRAME = GCRF\nREF_FRAME", "REF_FRAME: expected each keyword once"),
-        ("META_STOP\n", "META_STOP\nCCSDS_OPM_VERS = 2.0\n", "Give the ephemeris alone"),
+        ("META_STOP\n", "META_STOP\nCCSDS_OPM_VERS = 2.0\n", "Give the ephemeris in a separate file"),
     ],
 )
 def test_what_belongs_to_no_ephemeris_is_refused(tmp_path, message, old, new, expected):
@@ -143,7 +147,11 @@ def test_what_belongs_to_no_ephemeris_is_refused(tmp_path, message, old, new, ex
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("</data>", "<keplerianElements/></data>", "<keplerianElements> in it. Give the ephemeris alone"),
+        (
+            "</data>",
+            "<keplerianElements/></data>",
+            "<keplerianElements> in it. Give the ephemeris in a separate file",
+        ),
         ("<X>", "<X>1</X><X>", "column X: expected each element once"),
         ("<X_DOT>", '<X_DOT units="m/s">', "column X_DOT: expected units km/s; received 'm/s'"),
         ('version="2.0"', 'version="9"', "expected version 1.0, 2.0, 3.0 of an OEM"),
@@ -208,7 +216,7 @@ def test_a_frame_of_a_date_is_not_that_of_another(tmp_path, message):
     dated = message.replace("REF_FRAME = EME2000", "REF_FRAME = TEME\nREF_FRAME_EPOCH = 2024-03-01T00:00:00")
     (tmp_path / "a.oem").write_text(dated)
     assert said(tmp_path / "a.oem")[0].frame == "TEME of 2024-03-01T00:00:00, EARTH, UTC"
-    with pytest.raises(Fault, match="expected a frame that can be turned into GCRF"):
+    with pytest.raises(Fault, match="expected a frame that can be converted to GCRF"):
         said(tmp_path / "a.oem", "GCRF")
 
 

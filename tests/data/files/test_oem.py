@@ -195,7 +195,7 @@ def test_segments_that_disagree_are_refused(tmp_path):
         ("<X>", '<X units="m">', "row 3, column X: expected units km; received 'm'"),
         ("<Z>0.0</Z>", "", "row 3, column Z: expected the element; received none"),
         ("<segment>", "<part>", "row 2: expected an orbit ephemeris message <oem>; received <part> in it"),
-        ("<oem", '<!DOCTYPE x [<!ENTITY a "b">]><oem', "row 2: expected no entities of its own"),
+        ("<oem", '<!DOCTYPE x [<!ENTITY a "b">]><oem', "row 2: expected no custom entities"),
     ],
 )
 def test_a_fault_of_xml_is_named(old, new, expected):

@@ -14,7 +14,7 @@ from ahnn.errors import UserError
 GOOD = "id,t [s],x [km],vx [km/s]\na,0,1,2\na,1,2,3\nb,0,1,2\nb,1,2,3\n"
 FAULTS = {
     "no line": ("", "data.csv: expected a header and a row for each sample; received no line"),
-    "header alone": (GOOD[:26], "row 1: expected a row for each sample; received a header alone"),
+    "only a header": (GOOD[:26], "row 1: expected a row for each sample; received only a header"),
     "no header": ("0,1,2\n1,2,3\n", "data.csv, row 1: expected names of columns"),
     "text": (GOOD.replace("a,1,2,3", "a,1,two,3"), "row 3, column x: expected a number; received 'two'"),
     "underscore": (GOOD.replace("a,1,2,3", "a,1,2_0,3"), "row 3, column x: expected a number"),
@@ -41,7 +41,10 @@ FAULTS = {
     "no length": (GOOD.replace("x [km]", "x [kg]"), "column x: expected a length, an angle or [1]"),
     "no time unit": (GOOD.replace("t [s]", "t [m]"), "column t: expected a time or [1]; received 'm'"),
     "speed": (GOOD.replace("[km/s]", "[km]"), "column vx: expected the unit of a km per time, a velocity"),
-    "unit missing": (GOOD.replace("x [km]", "x", 1), "column x: expected a unit, as other columns have"),
+    "unit missing": (
+        GOOD.replace("x [km]", "x", 1),
+        "column x: expected a unit, since other columns have one",
+    ),
     "half": (
         GOOD.replace("id", "y [km]").replace("a", "0").replace("b", "1"),
         "column y: expected its velocities",
@@ -90,7 +93,7 @@ def test_a_fault_is_named_with_its_place(tmp_path, fault):
             "expected keys units, columns, frame, controls; received 'unit'; did you mean 'units'?",
         ),
         ("units: {z: km}", "expected a column 'z' (units)"),
-        ("units: {x: m}", "column x: expected [m], as in the sidecar; received [km]. Say it once"),
+        ("units: {x: m}", "column x: expected [m], as in the sidecar; received [km]. State it once"),
         ("columns: {time: s}", "expected a column 's' (time)"),
         ("columns: {times: t}", "expected columns of time, id, positions, velocities, momenta"),
         ("columns: {time: t}", "expected one time, at most one id, positions"),
@@ -113,11 +116,12 @@ def test_a_file_that_is_none(tmp_path):
     with pytest.raises(UserError, match=r"expected different files; received .*good.csv twice"):
         Files("mine", [str(good), f"{tmp_path}/../{tmp_path.name}/good.csv"])
     assert "row 2: expected text in UTF-8" in message_of(tmp_path, b"t,x,vx\n0,\xff,1\n")
+    assert "row 3: expected text in UTF-8" in message_of(tmp_path, b"t,x,vx\n0,1,1\n\xff,1,1\n")
 
 
 def test_a_gap_that_separates_two_trajectories(tmp_path):
     text = "t,q,v\n0,0,0\n1,0,0\n2,0,0\n1000,0,0\n"
-    assert "row 5: expected gaps with at most 20 absent samples" in message_of(tmp_path, text)
+    assert "row 5: expected gaps with at most 20 missing samples" in message_of(tmp_path, text)
 
 
 def test_files_that_disagree(tmp_path):

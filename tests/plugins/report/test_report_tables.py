@@ -146,7 +146,7 @@ def test_missing_models_filters_seeds_and_unequal_runs_are_said(tmp_path):
     for part in (
         "No runs of NODE, AHNN5: their cells are empty.",
         "unequal numbers of runs: MLP 2, HNN 3, AHNN3 3",
-        "MLP: seed 7 is there more than once",
+        "MLP: seed 7 occurs more than once",
         "8 of 8 runs kept no predictions",
         "6 of 8 runs were not evaluated with a filter",
         "Runs of MLP differ in assumptions: more, nothing.",

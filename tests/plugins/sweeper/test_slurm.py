@@ -126,7 +126,7 @@ def test_workers_share_a_search_and_one_is_requeued(slurm, desk, postgres):
     until(lambda: not said(slurm, "squeue", "-h"))
     assert_none_lost_or_doubled(found := trials(desk / "search", postgres, "slurm"), 3)
     assert sorted(states(found))[:3] == ["COMPLETE"] * 3
-    assert "the same command continues the search" in "".join(f.read_text() for f in desk.glob("*.out"))
+    assert "repeat the command to continue the search" in "".join(f.read_text() for f in desk.glob("*.out"))
 
 
 def test_trials_are_submitted_from_the_login_node(slurm, desk, postgres):

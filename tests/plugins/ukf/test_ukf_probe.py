@@ -60,7 +60,7 @@ def test_every_door_asks_for_squares_that_float64_holds(sd):
         "sd": lambda: StreamSensor.of(Position(1, "m"), sd, space),
         "start_sd": lambda: state_deviations([sd, 1.0], space, "start_sd"),
     }.items():
-        with pytest.raises(UserError, match=f"{who}: expected standard deviations whose squares float64"):
+        with pytest.raises(UserError, match=f"{who}: expected standard deviations whose squares are"):
             call()
     small = torch.tensor([1e-9, 1e9], dtype=torch.float64)
     assert torch.equal(state_deviations([1e-9, 1e9], space, "s"), small)

@@ -65,7 +65,7 @@ def test_deviations_are_the_systems_own_or_those_given():
 
 def test_a_model_that_reads_velocities_must_know_the_mass():
     model = SimpleNamespace(names=("q",), units=("m",), mass=1.0, residual=None)
-    with pytest.raises(UserError, match="with mass=3, that of the system"):
+    with pytest.raises(UserError, match="with mass=3, the mass of the system"):
         setting(HEAVY, measurement=model, measurement_sd=1.0)
 
 

@@ -208,6 +208,7 @@ def test_a_failed_member_is_smoothed_up_to_its_failure():
     clean, shorter = run(pendulum, rows), run(pendulum, rows[:, :12])
     assert torch.equal(spoiled.means[1], clean.means[1])
     assert torch.equal(spoiled.means[0, :12], shorter.means[0])
+    assert torch.equal(spoiled.chols[0, :12], shorter.chols[0])
     assert torch.equal(spoiled.initial.mean[0], shorter.initial.mean[0])
     assert bool(torch.isnan(spoiled.means[0, 12:]).all())
 

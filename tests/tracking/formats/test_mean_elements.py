@@ -108,7 +108,7 @@ def test_what_sgp4_does_not_take_is_refused_by_its_keyword(notation, key, value,
 
 
 def test_elements_that_decay_and_other_theories_and_units():
-    with pytest.raises(UserError, match="elements that SGP4 propagates"):
+    with pytest.raises(UserError, match="elements that SGP4 can propagate"):
         read(omm("kvn", {**OMM, "MEAN_MOTION": "17.5", "ECCENTRICITY": "0.5"}))
     with pytest.raises(UserError, match="received SEMI_MAJOR_AXIS, which is of another theory"):
         read(omm("kvn", {**OMM, "SEMI_MAJOR_AXIS": "8000"}))

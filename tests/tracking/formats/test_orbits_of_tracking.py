@@ -98,7 +98,7 @@ def test_satellites_of_a_precise_ephemeris_are_trajectories():
     assert [one.what for one in notes if isinstance(one, Remark)] == [
         "positions missing: 1",
         "positions predicted: 1",
-        "frame IGS20 taken for ITRF; clocks and accuracies are not used",
+        "frame IGS20 taken as ITRF; clocks and accuracies are not used",
     ]
 
 
@@ -116,7 +116,7 @@ def test_time_systems_and_positions_alone(system, clock):
     ("old", "new", "said"),
     [
         ("#dV", "#aV", "row 1: expected #c or #d of an orbit file (SP3); received '#aV'. Versions a and b"),
-        ("IGS20", "UNDEF", "row 1, column frame: expected a frame that turns with the Earth"),
+        ("IGS20", "UNDEF", "row 1, column frame: expected a frame that rotates with the Earth"),
         ("       3 ORBIT", "       4 ORBIT", "expected 4 epochs and EOF; received 3. The file is cut off"),
         ("EOF\n", "", "expected 3 epochs and EOF; received 3 without EOF"),
         ("cc GPS", "cc BDT", "row 5, column time system: expected one of GPS, GAL, QZS, UTC, GLO, TAI"),

@@ -88,7 +88,7 @@ def test_epochs_of_two_and_four_digits():
         ("UNE   3.1850", "UNX   3.1850", "expected code, point, solution, technique, start, end, UNE or XYZ"),
         ("UNE   3.1850", "UNE   x.1850", "column SITE/ECCENTRICITY: expected a number; received 'x.1850'"),
         ("83:011:58876 05:001:00000", "83:011:58876 01:001:00000 ", None),
-        ("83:011:58876 05:001:00000", "83:011:58876 82:001:00000", "expected an end behind the start"),
+        ("83:011:58876 05:001:00000", "83:011:58876 82:001:00000", "expected an end after the start"),
     ],
 )
 def test_what_is_wrong_in_coordinates_is_refused_by_its_line(old, new, said):

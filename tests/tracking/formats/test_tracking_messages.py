@@ -33,8 +33,8 @@ def test_measurements_of_a_moment_are_together(notation):
     assert data.weather[0, 1:].tolist() == [280.0, 0.5]
     assert data.remarks == (
         "not used: RECEIVE_FREQ_1",
-        "ranges and rates of two-way links taken for those of half the way there and back",
-        "means over 10 s taken for the range rates at their middles",
+        "ranges and rates of two-way links taken as those of half the way there and back",
+        "means over 10 s taken as the range rates at their midpoints",
     )
 
 
@@ -171,7 +171,7 @@ def test_the_structure_of_a_message_is_held():
             "expected version 1.0 or 2.0 of a TDM; received '9.0'",
         ),
         ("DATA_STOP\n", "", "expected DATA_STOP at the end of a segment"),
-        ("DATA_START\n", "", "expected DATA_START behind META_STOP"),
+        ("DATA_START\n", "", "expected DATA_START after META_STOP"),
         ("META_STOP\n", "", "row 20: expected KEYWORD = value; received 'DATA_START'"),
         ("ORIGINATOR", "AUTHOR", "expected CREATION_DATE, ORIGINATOR, MESSAGE_ID or META_START"),
     ):
@@ -181,7 +181,7 @@ def test_the_structure_of_a_message_is_held():
     for old, new, said in (
         ("<RANGE>", '<RANGE units="km">', "column RANGE: expected units as RANGE_UNITS says; received 'km'"),
         ("<ANGLE_1>", '<ANGLE_1 units="rad">', "column ANGLE_1: expected units deg; received 'rad'"),
-        ("<tdm ", '<!DOCTYPE x [<!ENTITY a "b">]><tdm ', "expected no entities of its own"),
+        ("<tdm ", '<!DOCTYPE x [<!ENTITY a "b">]><tdm ', "expected no custom entities"),
         ("</tdm>", "", "expected XML"),
         ("<header>", "<oem/><header>", "expected a tracking data message <tdm>; received <oem> in it"),
         ("<EPOCH>2024-03-01T00:00:20</EPOCH><DOPPLER", "<DOPPLER", "expected EPOCH and one value"),

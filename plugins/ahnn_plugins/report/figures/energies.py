@@ -35,7 +35,7 @@ def _drawing(task: Task, above: list[Series], below: list[Series]) -> Drawing:
     unit, time = lead.space.units.energy, time_label(lead)
     caption = (
         f"True Hamiltonian along the predictions of the first test trajectory, {lead.start} start, without "
-        f"measurements; below, how far it is off. {task.one_run_each()}"
+        f"measurements; below, its error. {task.one_run_each()}"
     )
     panels = [
         Panel(tuple(above), time, f"energy [{unit}]"),

@@ -10,7 +10,7 @@ from ahnn_plugins.report.figures.curves import cut, path
 from ahnn_plugins.report.figures.reading import Kept, velocities
 from ahnn_plugins.report.figures.task import Task, state_labels
 
-CUT = "A prediction that leaves the truth far behind is drawn up to there."
+CUT = "A prediction is drawn until it is far from the truth."
 
 
 def path_drawings(task: Task) -> list[Drawing]:

@@ -1,0 +1,102 @@
+"""Measurements that lower the variance of a forecast most, chosen before any is taken.
+
+To first order, a measurement's information does not depend on its value. The unknowns are independent with
+unit variance, the columns of factors of covariances. A plan grows by the candidate that lowers the trace of
+the forecast's covariance most; then single measurements are exchanged while that lowers it further (Fedorov
+1972, Theory of Optimal Experiments, chapter 3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+SWEEPS = 10
+"""Number of exchanges of each measurement, at most."""
+MARGIN = 1e-6
+"""Relative gain of an exchange above rounding."""
+
+
+class MeasurementPlan(NamedTuple):
+    """Candidates in the order of their choice.
+
+    Attributes:
+        chosen: indices of C candidates.
+        variances: (C + 1,) trace of the forecast's covariance before the first and after each of them.
+    """
+
+    chosen: list[int]
+    variances: Tensor
+
+
+@torch.no_grad()
+def plan_measurements(candidates: Sequence[Tensor], forecast: Tensor, count: int) -> MeasurementPlan:
+    """Choose measurements of which no single one can be exchanged for a better one, best first.
+
+    Args:
+        candidates: of each, the derivative (K, R) of its K measurements by the unknowns, over their standard
+            deviations.
+        forecast: (G, R) derivative of the predicted values.
+        count: number to choose, at most all.
+    """
+    rows, everything = list(candidates), range(len(candidates))
+    chosen, _ = _one_by_one(rows, forecast, everything, count)
+    for _ in range(SWEEPS):
+        before = list(chosen)
+        for place in range(len(chosen)):
+            others = chosen[:place] + chosen[place + 1 :]
+            left = [k for k in everything if k not in others]
+            known = torch.cat([rows[k] for k in others]) if others else forecast[:0]
+            *free, moved = _informed([*(rows[k] for k in left), forecast], known)
+            gains = [_reduction(one, moved) for one in free]
+            best = max(range(len(left)), key=gains.__getitem__)
+            if gains[best] > (1 + MARGIN) * gains[left.index(chosen[place])]:
+                chosen[place] = left[best]
+        if chosen == before:
+            break
+    return MeasurementPlan(*_one_by_one(rows, forecast, chosen, count))
+
+
+def _one_by_one(
+    rows: list[Tensor], forecast: Tensor, among: Sequence[int], count: int
+) -> tuple[list[int], Tensor]:
+    """Choose among some candidates the best beside those before it; return also the variances."""
+    chosen, variances = [], [_trace(forecast)]
+    for _ in range(min(count, len(among))):
+        left = [k for k in among if k not in chosen]
+        chosen.append(max(left, key=lambda k: _reduction(rows[k], forecast)))
+        *rows, forecast = _informed([*rows, forecast], rows[chosen[-1]])
+        variances.append(_trace(forecast))
+    return chosen, torch.stack(variances)
+
+
+@torch.no_grad()
+def variance_with(candidates: Sequence[Tensor], forecast: Tensor) -> Tensor:
+    """Return the trace of a forecast's covariance after all of some measurements, see `plan_measurements`."""
+    return _trace(_informed([forecast], torch.cat(list(candidates)))[0])
+
+
+def evenly_spaced(candidates: int, count: int) -> list[int]:
+    """Return the indices of `count` of many candidates in the order of time, as evenly as possible."""
+    return torch.linspace(0, candidates - 1, count).round().long().unique().tolist()
+
+
+def _trace(factor: Tensor) -> Tensor:
+    return factor.square().sum()
+
+
+def _reduction(rows: Tensor, forecast: Tensor) -> float:
+    """Return by how much measurements lower the trace of the forecast's covariance."""
+    innovation = torch.eye(len(rows)).to(rows) + rows @ rows.mT
+    root = torch.linalg.cholesky(innovation)
+    return float(_trace(torch.linalg.solve_triangular(root, rows @ forecast.mT, upper=False)))
+
+
+def _informed(parts: Sequence[Tensor], rows: Tensor) -> list[Tensor]:
+    """Return derivatives by unknowns whose variance is again one after some measurements (K, R)."""
+    information = torch.eye(rows.shape[1]).to(rows) + rows.mT @ rows
+    root = torch.linalg.cholesky(information)
+    return [torch.linalg.solve_triangular(root, part.mT, upper=False).mT for part in parts]
