@@ -12,12 +12,13 @@ eliminated, as in `ahnn.training.shooting`.
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from typing import cast
 
 import torch
 from torch import Tensor
-from torch.nn.utils import parameters_to_vector
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from ahnn.arguments import checked
 from ahnn.clock import reduced
@@ -27,7 +28,7 @@ from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.dynamics.variations import jacobians_of_steps
 from ahnn.errors import UserError
 from ahnn.shooting.path_sensitivities import Steps, sensitivities, transitions
-from ahnn.training.least_squares import LeastSquares, pointwise_problem
+from ahnn.training.least_squares import LeastSquares
 from ahnn.training.loss import Loss
 from ahnn.types import Window
 
@@ -60,12 +61,14 @@ class FittedStarts:
     def problem(self, dynamics: Dynamics, batch: Window) -> LeastSquares:
         """Return the residuals as a least-squares problem in the parameters of the dynamics."""
         about = Linearised(dynamics, batch.first(self.window), self.loss)
-        one, target = torch.ones_like(about.x), about.target
-        steps = pointwise_problem(dynamics, lambda x: dynamics.increment(x, about.dt), about.x, target, one)
         rows = field_jacobian(cast(HasField, dynamics), WIDE)
 
+        @torch.no_grad()
         def residuals(theta: Tensor) -> Tensor:
-            return about.left(steps.residuals(theta).view(about.shape)).flatten()
+            # About new Jacobians: a deviation of kilometres times their change grows along an orbit.
+            moved = copy.deepcopy(dynamics)
+            vector_to_parameters(theta, moved.parameters())
+            return self.residuals(moved, batch).flatten()
 
         def jacobian(theta: Tensor) -> Tensor:
             parts = slices(len(about.states), TOGETHER)
