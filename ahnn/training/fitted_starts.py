@@ -55,12 +55,12 @@ class FittedStarts:
 
     def residuals(self, dynamics: Dynamics, batch: Window) -> Tensor:
         """Return the weighted residuals, shape (B, K n), of K positions; Jacobians have no graph."""
-        about = Linearised(dynamics, batch.first(self.window), self.loss)
+        about = AboutSamples(dynamics, batch.first(self.window), self.loss)
         return about.left(about.defects(dynamics.increment(about.x, about.dt)))
 
     def problem(self, dynamics: Dynamics, batch: Window) -> LeastSquares:
         """Return the residuals as a least-squares problem in the parameters of the dynamics."""
-        about = Linearised(dynamics, batch.first(self.window), self.loss)
+        about = AboutSamples(dynamics, batch.first(self.window), self.loss)
         rows = field_jacobian(cast(HasField, dynamics), WIDE)
 
         @torch.no_grad()
@@ -86,7 +86,7 @@ class FittedStarts:
         return {"loss": self.residuals(dynamics, batch).square().mean()}
 
 
-class Linearised:
+class AboutSamples:
     """Paths of dynamics about the samples of windows.
 
     Args:
