@@ -110,7 +110,9 @@ def _compile(line: list[str]) -> None:
         try:
             _, said = process.communicate(timeout=PATIENCE)
         except BaseException:  # also on an interrupt
-            os.killpg(process.pid, signal.SIGKILL)
+            if hasattr(os, "killpg"):  # not on Windows
+                os.killpg(process.pid, signal.SIGKILL)
+            process.kill()
             raise
     if process.returncode:
         raise subprocess.CalledProcessError(process.returncode, line, stderr=said[:1000])
@@ -138,7 +140,7 @@ def _own(folder: Path) -> bool:
         about = folder.stat()
     except OSError:
         return False
-    return about.st_uid == os.getuid() and not about.st_mode & 0o022
+    return hasattr(os, "getuid") and about.st_uid == os.getuid() and not about.st_mode & 0o022
 
 
 def followed() -> bool:
