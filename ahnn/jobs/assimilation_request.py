@@ -69,6 +69,7 @@ class Stream(NamedTuple):
         name: name of the tracked object.
         controls: names of the model's controls.
         followed: measurements of an orbit determination, used instead of lines.
+        fitted: number of the last line to which the start was fitted.
     """
 
     asked: AssimilationRequest
@@ -79,6 +80,7 @@ class Stream(NamedTuple):
     name: str
     controls: tuple[str, ...] = ()
     followed: FollowedMeasurements | None = None
+    fitted: int = 0
 
 
 def require_places(options: AssimilationRequest) -> None:

@@ -14,7 +14,7 @@ troll: [-72.0, 2.5, 1270]    # latitude, longitude, height
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -95,15 +95,20 @@ class BiasedStation(Differing):
         entry: of the file.
         earth_angle: of the Greenwich meridian from the inertial x axis at t = 0, rad.
         mass: of the satellite in kg.
+        who: prefix of messages.
 
     Raises:
         UserError: nothing that it measures.
     """
 
-    def __init__(self, entry: StationEntry, earth_angle: float = 0.0, mass: float = 1.0) -> None:
+    def __init__(
+        self, entry: StationEntry, earth_angle: float = 0.0, mass: float = 1.0, who: str = ""
+    ) -> None:
         kept = [k for k, name in enumerate(SEEN) if name in entry.noise]
         if not kept:
-            message = f"noise: expected standard deviations of {', '.join(SEEN)}, or of some; received none"
+            message = (
+                f"{who}noise: expected standard deviations of {', '.join(SEEN)}, or of some; received none"
+            )
             raise UserError(message)
         place = entry.latitude, entry.longitude, entry.height / 1e3
         lowest = {"min_elevation": entry.min_elevation, "earth_angle": earth_angle}
@@ -131,22 +136,42 @@ class BiasedStation(Differing):
 
 
 class StationsOfFile(Several):
-    """The stations of a file, side by side.
+    """The stations of a file, side by side; components have the names of their stations, as `kiruna.range`.
 
     Args:
         file: path of the stations, see `ahnn.measurements.station_file`.
         earth_angle: of the Greenwich meridian from the inertial x axis at t = 0, rad; None is 0.
         mass: of the satellite in kg.
+        only: names of those that count; None for all.
 
     Attributes:
+        stations: by name.
         deviations: standard deviations of all their numbers.
+        bias_sd: those of their biases, 0 for none.
 
     Raises:
         UserError: no station, or an invalid one.
     """
 
-    def __init__(self, file: str, earth_angle: float | None = None, mass: float = 1.0) -> None:
-        models = [BiasedStation(one, earth_angle or 0.0, mass) for one in read_stations(file).values()]
+    def __init__(
+        self,
+        file: str,
+        earth_angle: float | None = None,
+        mass: float = 1.0,
+        only: Sequence[str] | None = None,
+    ) -> None:
+        known = read_stations(file)
+        self.stations = {
+            name: BiasedStation(known[name], earth_angle or 0.0, mass, f"{file}: {name}.")
+            for name in known
+            if only is None or name in only
+        }
+        if lacking := [name for name in only or () if name not in known]:
+            message = f"{file}: expected stations {', '.join(only or ())}; received none named {lacking[0]!r}"
+            raise UserError(message + nearest(lacking[0], tuple(known)))
+        models = [*self.stations.values()]
         super().__init__(models)
+        self.names = tuple(f"{key}.{name}" for key, one in self.stations.items() for name in one.names)
         self.file, self.mass = file, mass
         self.deviations = [sd for model in models for sd in model.deviations]
+        self.bias_sd = [sd for model in models for sd in model.bias_sd]

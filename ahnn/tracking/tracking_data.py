@@ -14,6 +14,7 @@ from ahnn.errors import UserError
 Kind = Literal["range", "azimuth", "elevation", "range_rate", "right_ascension", "declination"]
 """Kinds of measurements: km, rad or km/s; a range is half the two-way light time, times c."""
 KINDS: tuple[Kind, ...] = ("range", "azimuth", "elevation", "range_rate", "right_ascension", "declination")
+UNITS = dict.fromkeys(KINDS, "rad") | {"range": "km", "range_rate": "km/s"}
 Event = Literal["receive", "transmit", "bounce"]
 """Events tagged by measurement times: reception or transmission at the station, bounce at the satellite."""
 

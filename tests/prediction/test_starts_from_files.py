@@ -46,7 +46,7 @@ def deviations(row):
 @pytest.mark.parametrize(
     ("given", "more", "said"),
     [
-        ({"frame": "ITRF2014"}, [], "expected an inertial frame; received ITRF2014. frame= names"),
+        ({"frame": "ITRF2014"}, [], "expected an inertial frame; received ITRF2014. Set frame= to"),
         ({"center": "MARS"}, [], "expected centre EARTH, that of the model; received MARS"),
         ({"center": "MARS"}, ["frame=[GCRF,EARTH]"], "expected centre EARTH, that of the model"),
         ({}, ["frame=[TEME,EARTH]"], "expected frame TEME, that of the model; received EME2000"),
