@@ -41,22 +41,16 @@ OPEN = {
     "optional_libraries",
 }
 GROUND = OPEN | {"integrators", "measurements", "metrics", "rollouts", "statistics", "checkpoints"}
-MAY_IMPORT = {
-    "errors": set(),
+MAY_IMPORT = dict.fromkeys(("clock", "errors", "extensions", "locks", "paths", "progress"), set()) | {
     "optional_libraries": {"errors"},
-    "clock": set(),
     "types": {"clock", "errors"},
-    "paths": set(),
-    "extensions": set(),
     "numbers": {"errors"},
     "controls": {"errors", "numbers"},
-    "progress": set(),
     "cores": set(),
     "jacobians": {"cores"},
     "contents": {"errors"},
     "manifest": {"errors"},
     "files": {"errors", "locks", "manifest"},
-    "locks": set(),
     "memory": {"errors"},
     "substeps": {"types"},
     "compiled_libraries": {"contents", "files", "paths", "types"},
