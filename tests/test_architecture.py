@@ -41,7 +41,7 @@ OPEN = {
     "optional_libraries",
 }
 GROUND = OPEN | {"integrators", "measurements", "metrics", "rollouts", "statistics", "checkpoints"}
-MAY_IMPORT = dict.fromkeys(("clock", "errors", "extensions", "locks", "paths", "progress"), set()) | {
+MAY_IMPORT = {key: set() for key in ("clock", "errors", "extensions", "locks", "paths", "progress")} | {
     "optional_libraries": {"errors"},
     "types": {"clock", "errors"},
     "numbers": {"errors"},
