@@ -21,6 +21,7 @@ OPEN = {
     "arguments",
     "contents",
     "files",
+    "locks",
     "manifest",
     "memory",
     "numbers",
@@ -40,21 +41,16 @@ OPEN = {
     "optional_libraries",
 }
 GROUND = OPEN | {"integrators", "measurements", "metrics", "rollouts", "statistics", "checkpoints"}
-MAY_IMPORT = {
-    "errors": set(),
+MAY_IMPORT = {key: set() for key in ("clock", "errors", "extensions", "locks", "paths", "progress")} | {
     "optional_libraries": {"errors"},
-    "clock": set(),
     "types": {"clock", "errors"},
-    "paths": set(),
-    "extensions": set(),
     "numbers": {"errors"},
     "controls": {"errors", "numbers"},
-    "progress": set(),
     "cores": set(),
     "jacobians": {"cores"},
     "contents": {"errors"},
     "manifest": {"errors"},
-    "files": {"errors", "manifest"},
+    "files": {"errors", "locks", "manifest"},
     "memory": {"errors"},
     "substeps": {"types"},
     "compiled_libraries": {"contents", "files", "paths", "types"},
