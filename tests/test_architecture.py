@@ -84,6 +84,7 @@ MAY_IMPORT = {
     "assimilation": GROUND | {"data", "estimation", "evaluation"},
     "pretrained": OPEN | {"checkpoints"},
     "runs": GROUND | {"dynamics", "evaluation", "prediction", "uncertainty"},
+    "papers": {"loading", "runs"},
     "loading": GROUND | {"dynamics", "pretrained", "runs", "uncertainty"},
     "saving": GROUND | {"data", "dynamics", "loading", "runs", "uncertainty"},
     "untrained": GROUND | {"data", "dynamics"},
