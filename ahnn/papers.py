@@ -97,7 +97,9 @@ class Paper(NamedTuple):
         where += [f"arXiv:{self.fields['eprint']}"] if "eprint" in self.fields else []
         authors = self.fields["author"].replace(" and ", "; ")
         ending = ", ".join(where) + "." if where else ""
-        return f"{authors} ({self.fields['year']}). {self.fields['title']}. {ending}".strip().replace("--", "–")
+        return f"{authors} ({self.fields['year']}). {self.fields['title']}. {ending}".strip().replace(
+            "--", "–"
+        )
 
 
 class Citations(NamedTuple):

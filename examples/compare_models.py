@@ -21,7 +21,9 @@ def errors(build, seed):
     """Return the rms angle error of unseen swings over time, (STEPS + 1,)."""
     torch.manual_seed(seed)
     model = build(dof=1, hidden=24, data=data).double()
-    optimizer = torch.optim.LBFGS(model.parameters(), 0.5, 200, tolerance_change=0, history_size=20)
+    optimizer = torch.optim.LBFGS(
+        model.parameters(), max_iter=150, tolerance_change=0, line_search_fn="strong_wolfe"
+    )
 
     def loss():
         optimizer.zero_grad()
@@ -38,7 +40,10 @@ def errors(build, seed):
 times = DT * torch.arange(STEPS + 1)
 figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
 scores = {}
-for name, build, colour in (("neural ODE", ahnn.NeuralODE, "#0072B2"), ("Hamiltonian", ahnn.Hamiltonian, "#D55E00")):
+for name, build, colour in (
+    ("neural ODE", ahnn.NeuralODE, "#0072B2"),
+    ("Hamiltonian", ahnn.Hamiltonian, "#D55E00"),
+):
     each = torch.stack([errors(build, seed) for seed in (1, 2, 3)])  # (3, STEPS + 1)
     scores[name] = each.log().mean(0).exp()  # geometric mean
     axes.fill_between(times, each.amin(0), each.amax(0), color=colour, alpha=0.25)

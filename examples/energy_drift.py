@@ -25,7 +25,9 @@ for name, count in stages.items():
     energy = v.square().sum(-1) / 2 - 1 / q.norm(dim=-1)
     worst[name] = (energy + 0.5).abs()[1:].view(orbits, steps).amax(1) / 0.5  # of each revolution
     axes.loglog(range(1, orbits + 1), worst[name], label=f"{name}, {steps} steps per orbit")
-    print(f"{name:10s} worst energy error: orbit 1 {worst[name][0]:.1e}, orbit {orbits} {worst[name][-1]:.1e}")
+    print(
+        f"{name:10s} worst energy error: orbit 1 {worst[name][0]:.1e}, orbit {orbits} {worst[name][-1]:.1e}"
+    )
 axes.set(xlabel="orbit", ylabel="worst relative error of the energy")
 axes.set_title(f"Kepler orbit, e = {eccentricity}, {calls} force evaluations per orbit")
 axes.grid(alpha=0.3)

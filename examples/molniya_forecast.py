@@ -9,7 +9,7 @@ import ahnn
 MU, RADIUS, J2 = 398600.4418, 6378.1363, 1.0826e-3  # km^3/s^2, km
 
 
-def oblate(t, x):
+def oblate(_, x):
     """Newton's law with the Earth's oblateness (Vallado 2013, eq. 8-25)."""
     q, r2 = x[:3], x[:3] @ x[:3]
     bulge = 1.5 * J2 * RADIUS**2 / r2

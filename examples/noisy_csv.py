@@ -22,7 +22,8 @@ def swing(angle, t):
 
 
 angles = np.stack([swing(a, times) for a in draw.uniform(0.3, 2.0, 30)])
-rows = [(k, t, a) for k, one in enumerate(angles + SD * draw.normal(size=angles.shape)) for t, a in zip(times, one)]
+noisy = angles + SD * draw.normal(size=angles.shape)
+rows = np.stack((np.arange(30).repeat(len(times)), np.tile(times, 30), noisy.ravel()), axis=1)
 np.savetxt(folder / "swings.csv", rows, "%d,%.1f,%.5f", header="id,t [s],angle [rad]", comments="")
 
 table = np.loadtxt(folder / "swings.csv", delimiter=",", skiprows=1)
@@ -38,9 +39,13 @@ forecast = run.predict(start, ahead)
 angle, sd = forecast.states[0, :, 0].numpy(), forecast.deviations[0, :, 0].numpy()
 truth = swing(1.5, ahead)
 inside = np.mean(np.abs(angle - truth)[1:] < 2 * sd[1:])
-print(f"worst error {np.abs(angle - truth).max():.1e} rad of measurements with {SD} rad; {inside:.0%} within 2 sd")
+print(
+    f"worst error {np.abs(angle - truth).max():.1e} rad of measurements with {SD} rad; {inside:.0%} within 2 sd"
+)
 
-figure, (top, low) = plt.subplots(2, 1, figsize=(6, 4.5), layout="constrained", sharex=True, height_ratios=[2, 1])
+figure, (top, low) = plt.subplots(
+    2, 1, figsize=(6, 4.5), layout="constrained", sharex=True, height_ratios=[2, 1]
+)
 near = np.argmin(np.abs(angles[:, 0] - 1.5))
 top.plot(times, table[:, 2].reshape(30, -1)[near], ".", color="0.5", ms=4, label="one of 30 measured swings")
 top.plot(ahead, angle, color="#D55E00", label="forecast from 1.5 rad at rest")

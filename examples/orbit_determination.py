@@ -53,7 +53,12 @@ spread = fit.chols[0, :, :3].square().sum((1, 2)).sqrt()
 figure, (left, right) = plt.subplots(1, 2, figsize=(8, 3.6), layout="constrained")
 left.plot(*truth[0, :, [0, 2]].T / 1000, "k-", lw=1)
 left.plot(*located[:, [0, 2]].T / 1000, ".", color="#56B4E9", label="located by the stations")
-left.plot(*located[[first, middle, last]][:, [0, 2]].T / 1000, "o", color="#D55E00", label="three of them, for Gibbs")
+left.plot(
+    *located[[first, middle, last]][:, [0, 2]].T / 1000,
+    "o",
+    color="#D55E00",
+    label="three of them, for Gibbs",
+)
 left.add_patch(plt.Circle((0, 0), 6.378, color="0.8"))
 left.set(xlabel="x [1000 km]", ylabel="z [1000 km]", aspect="equal", title="Eight hours of sightings")
 left.legend(fontsize="small", loc="lower center", bbox_to_anchor=(0.5, -0.5), frameon=False)

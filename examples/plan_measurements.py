@@ -25,7 +25,9 @@ spacing = [
 planned = plan.variances.sqrt()
 hours = times / 3600
 print("fixes at", ", ".join(f"{hours[k]:g} h" for k in plan.chosen))
-print(f"forecast: {planned[0]:.0f} km before, {planned[-1]:.2f} km planned, {spacing[-1]:.2f} km evenly spaced")
+print(
+    f"forecast: {planned[0]:.0f} km before, {planned[-1]:.2f} km planned, {spacing[-1]:.2f} km evenly spaced"
+)
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(8, 3.6), layout="constrained")
 radius = states[:-1, :3].norm(dim=1) / 1000
@@ -36,7 +38,11 @@ for order, k in enumerate(plan.chosen, 1):
 left.set(xlabel="time [h]", ylabel="distance from the Earth's centre [1000 km]", title="Chosen fixes")
 right.semilogy(range(COUNT + 1), planned, "o-", color="#D55E00", label="planned")
 right.semilogy(range(1, COUNT + 1), spacing, "s--", color="#0072B2", label="evenly spaced")
-right.set(xlabel="fixes of 100 m", ylabel="standard deviation after three days [km]", title="Forecast of the position")
+right.set(
+    xlabel="fixes of 100 m",
+    ylabel="standard deviation after three days [km]",
+    title="Forecast of the position",
+)
 right.grid(alpha=0.3)
 right.legend()
 figure.savefig("plan_measurements.png", dpi=100)

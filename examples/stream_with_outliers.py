@@ -32,13 +32,21 @@ off = torch.tensor([10.0, -10.0, 10.0, 0.01, 0.01, -0.01], dtype=torch.float64)
 belief = initial_belief(start + off, torch.diag(off**2))
 noise, process = SD**2 * torch.eye(3), torch.diag(torch.tensor([1e-3] * 3 + [1e-5] * 3) ** 2)
 result = unscented_filter(
-    learned, belief, fixes, Position(), lambda dt: process.double(), noise.double(), DT, gate=Gate(0.9999), smoothing=True
+    learned,
+    belief,
+    fixes,
+    Position(),
+    lambda _: process.double(),
+    noise.double(),
+    DT,
+    gate=Gate(0.9999),
+    smoothing=True,
 )
 smoothed = unscented_smoother(result)
 errors = {"filter": result.means, "smoother": smoothed.means}
 errors = {name: (means - truth)[0, :, :3].norm(dim=1) for name, means in errors.items()}
 rejected = result.rejected[0].bool()
-print(f"{int(wrong.sum())} wrong fixes, {int(rejected.sum())} rejected, {int((rejected & wrong).sum())} of them wrong")
+print(f"{int(wrong.sum())} wrong fixes, {int(rejected.sum())} rejected, both {int((rejected & wrong).sum())}")
 print({name: f"{float(e.square().mean().sqrt()):.2f} km rms" for name, e in errors.items()})
 
 hours = DT * torch.arange(1, STEPS + 1) / 3600
