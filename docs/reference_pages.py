@@ -120,8 +120,8 @@ def papers_page() -> None:
     """Write the papers for each method, as text and BibTeX."""
     parts = [
         "# Papers\n",
-        "`ahnn.citations(run)` returns the papers for the methods that a run used: `print` shows them as text,",
-        "and its attribute `bibtex` has their entries.\n",
+        "`ahnn.citations(run)` returns the papers for the methods that a run used. `print` shows them as",
+        "text; the attribute `bibtex` has their entries.\n",
     ]
     for key, paper in entries().items():
         methods = ", ".join(f"`{name}`" for name, keys in PAPERS.items() if key in keys)

@@ -45,7 +45,7 @@ def section(flow):
     return (a + (b - a) * (-a[:, :1] / (b - a)[:, :1]))[:, [1, 3]], path
 
 
-figure, panels = plt.subplots(1, 2, figsize=(8, 4.6), layout="constrained", sharex=True, sharey=True)
+figure, panels = plt.subplots(1, 2, figsize=(8, 4.2), layout="constrained", sharex=True, sharey=True)
 paths = {}
 for axes, (name, flow) in zip(panels, {"true": exact, "learned": model}.items(), strict=True):
     points, paths[name] = section(flow)

@@ -33,15 +33,14 @@ options = ["sensor=recorded", f"data.noise={SD}", "hamiltonian=mechanical", "bud
 options += ["loss.stages=[[4,0.5],[16,1.0]]", "evaluation.figures=false"]
 run = ahnn.fit(data, space, options, folder=folder / "run")
 
-ahead = np.arange(0, 12.05, 0.1)  # twice as long as any measured swing
+ahead = np.arange(0, 12.05, 0.1)  # three times as long as any measured swing
 start = [1.5, 0.0]
 forecast = run.predict(start, ahead)
 angle, sd = forecast.states[0, :, 0].numpy(), forecast.deviations[0, :, 0].numpy()
 truth = swing(1.5, ahead)
 inside = np.mean(np.abs(angle - truth)[1:] < 2 * sd[1:])
-print(
-    f"worst error {np.abs(angle - truth).max():.1e} rad of measurements with {SD} rad; {inside:.0%} within 2 sd"
-)
+worst = np.abs(angle - truth).max()
+print(f"worst error {worst:.3f} rad, noise {SD} rad; {inside:.0%} within 2 standard deviations")
 
 figure, (top, low) = plt.subplots(
     2, 1, figsize=(6, 4.5), layout="constrained", sharex=True, height_ratios=[2, 1]
