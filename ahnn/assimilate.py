@@ -3,7 +3,8 @@
 run=DIR             a run folder; or pretrained=NAME, a model shipped with the package; ckpt=best
 measurements=FILE   CSV with a header (time, sensor, numbers, sd_NAME) or JSON lines; - is standard input
 start=[X,...]       the state at time=0; or FILE: YAML or JSON (mean, sd or covariance), an ephemeris, table,
-                    element set, or output of an assimilation, with its epoch, frame and covariance
+                    element set, or output of an assimilation, with its epoch, frame and covariance; start=fit
+                    fits the first fitted=20 measurements of FILE, and the filter continues after them
 start_sd=[..]       standard deviations of the start, one per component (q and p for one degree of freedom)
                     or [position,velocity]; default: the covariance in FILE
 controls=FILE       for a model with controls: a table of times and controls, or constants; default: columns

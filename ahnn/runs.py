@@ -41,10 +41,6 @@ if TYPE_CHECKING:
     from ahnn.evaluation.results import Results
 
 
-PLOTTED = 300
-"""Number of sampling intervals of a plot without times."""
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Run:
     """Learned dynamics with the description of their state space.
@@ -187,10 +183,7 @@ class Run:
             UserError: the weights contain no representative training states.
         """
         if self.domain is None:
-            message = (
-                "novelty: expected weights that describe their training data; received those of an "
-                "earlier version. Train again"
-            )
+            message = "novelty: expected weights with their training domain; received old ones. Train again"
             raise UserError(message)
         return self.domain.novelty(self._exact, states_of(x, "x", self.dynamics, self.space).double())
 
@@ -232,32 +225,31 @@ class Run:
         require_times(times)
         clock = clock_of_samples(self.dynamics, times, controls, len(x), linear=linear)
         found = predicted(self._exact, x.double(), times, self.dt, known, description, clock)
-        if not self._asked(x):
-            return found
-        steps = times.diff().expand(len(x), -1)
-        path = rollout(self.dynamics, x, steps, len(times), longest=self.dt, gradients=True, clock=clock)
-        return found._replace(states=path.double())
+        if self._asked(x):
+            each = times.diff().expand(len(x), -1)
+            path = rollout(self.dynamics, x, each, len(times), longest=self.dt, gradients=True, clock=clock)
+            found = found._replace(states=path.double())
+        return found
 
     def plot(self, start: Numbers | None = None, times: Numbers | None = None, **options: Any) -> Figure:
         """Plot one predicted trajectory, with its band and novelty where known, as a matplotlib figure.
 
         Args:
             start: (2n,) state at the first of the times; by default a training state.
-            times: (T,) increasing; by default `PLOTTED` sampling intervals.
+            times: (T,) increasing; by default 300 sampling intervals.
             options: further arguments of `predict`.
 
         Raises:
             UserError: as for `predict`, several starts, or no start where training states are unknown.
         """
-        from ahnn.prediction.figure import prediction_figure
+        from ahnn.prediction.figure import PLOTTED, prediction_figure
 
-        if start is None and self.domain is not None:
-            start = self.domain.states[0]
+        start = self.domain.states[0] if start is None and self.domain else start
         if start is None or len(starts_of(start, self.dynamics, self.space)) != 1:
             message = "start: expected one state of the space; received none or several"
             raise UserError(message)
-        times = self.dt * torch.arange(PLOTTED + 1) if times is None else times
         with torch.no_grad():
+            times = self.dt * torch.arange(PLOTTED + 1) if times is None else times
             found = self.predict(start, times, **options)
         return prediction_figure(found, self.space, f"{self.space.name}: {self.dynamics.assumes}")
 
@@ -267,7 +259,7 @@ class Run:
         Raises:
             UserError: an invalid covariance, or a damaged file of that of the parameters.
         """
-        known = Knowledge(None if self.uncertainty is None else self.uncertainty.spread, self.domain)
+        known = Knowledge(self.uncertainty and self.uncertainty.spread, self.domain)
         if start_covariance is None:
             return known
         factor = covariance_factor(start_covariance, 2 * self.space.dof, "start_covariance")
@@ -296,12 +288,11 @@ class Run:
 
     def _asked(self, *given: Tensor | float) -> bool:
         """Return whether a start, a step or a parameter requires gradients."""
-        tensors = (*given, *self.dynamics.parameters())
-        asked = any(isinstance(one, Tensor) and one.requires_grad for one in tensors)
-        return torch.is_grad_enabled() and asked
+        tensors = (one for one in (*given, *self.dynamics.parameters()) if isinstance(one, Tensor))
+        return torch.is_grad_enabled() and any(one.requires_grad for one in tensors)
 
     @property
     def _exact(self) -> Dynamics:
         """The dynamics in float64, also after a cast by the user."""
-        doubles = all(p.dtype == torch.float64 for p in self.dynamics.parameters())
-        return self.dynamics if doubles else self.dynamics.frozen()
+        narrow = any(p.dtype != torch.float64 for p in self.dynamics.parameters())
+        return self.dynamics.frozen() if narrow else self.dynamics

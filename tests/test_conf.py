@@ -26,7 +26,9 @@ GROUPS = {
     if folder.is_dir() and folder.name != "hydra"
 }
 OPTIONS = [(group, option) for group, options in GROUPS.items() for option in options]
-SWINGS = f"system.path={Path(__file__).parent}/fixtures/swings.csv"
+GIVEN = {"files": [f"system.path={Path(__file__).parent}/fixtures/swings.csv"]}
+ELSEWHERE = {"sightings"}
+"""Built from tables of stations in tests/tracking/test_sightings.py."""
 BUILT = ["system", "model", "data", "optimizer", "scheduler", "loss", "integrator", "budget"]
 
 
@@ -76,12 +78,13 @@ def test_every_option_composes_and_its_targets_take_its_keys(tmp_path, group, op
         assert keys <= set(parameters), node["_target_"]
 
 
-@pytest.mark.parametrize(("group", "option"), [pair for pair in OPTIONS if pair[0] in BUILT])
+@pytest.mark.parametrize(
+    ("group", "option"), [pair for pair in OPTIONS if pair[0] in BUILT and pair[1] not in ELSEWHERE]
+)
 @pytest.mark.sampled(3)
 def test_every_option_of_the_core_can_be_built(tmp_path, group, option):
     overrides = [f"{group}={option}"]
-    if option == "files":
-        overrides.append(SWINGS)
+    overrides += GIVEN.get(option, [])
     if group == "integrator":  # compositions need a separable Hamiltonian
         overrides.append("model.hamiltonian=separable")
     if option.startswith(("shooting", "weak")):  # which learn from measurements
@@ -95,14 +98,16 @@ OFTEN = 5
 PAIRS = [
     pytest.param(model, system, marks=() if (i + j) % OFTEN == 0 else pytest.mark.slow)
     for (i, model), (j, system) in product(enumerate(GROUPS["model"]), enumerate(GROUPS["system"]))
+    if system not in ELSEWHERE
 ]
 """One in so many pairs is built each time, each model and system in several; the slow suite builds all."""
 
 
 @pytest.mark.parametrize(("model", "system"), PAIRS)
 def test_every_model_is_built_for_every_system(tmp_path, model, system):
-    given = [SWINGS] if system == "files" else []
-    data, built = build_parts(composed(tmp_path, f"model={model}", f"system={system}", *given))
+    data, built = build_parts(
+        composed(tmp_path, f"model={model}", f"system={system}", *GIVEN.get(system, []))
+    )
     assert built.dof == data.source.space.dof
 
 

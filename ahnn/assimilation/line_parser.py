@@ -15,14 +15,14 @@ from ahnn.assimilation.instrument_reading import Reading
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.assimilation.stream_sensor import StreamSensor
 from ahnn.data.files.columns import control_named
-from ahnn.data.files.table import FINITE, HEADER, LARGEST
+from ahnn.data.files.table import FINITE, LARGEST, column_of
 from ahnn.data.files.units import factor
 from ahnn.errors import UserError
 
 log = logging.getLogger("ahnn")
 
-TIME, SENSOR, SD = ("time", "t"), "sensor", "sd_"
-"""Column names of time and sensor, and the prefix of standard deviation columns."""
+TIME, SENSOR, STATION, SD = ("time", "t"), "sensor", "station", "sd_"
+"""Column names of time and sensor, or station, and the prefix of standard deviation columns."""
 RESERVED = frozenset(',"\n\r')
 """Characters not allowed in an object name, which must be usable as a table cell."""
 
@@ -196,6 +196,7 @@ class Layout:
 
     def _called(self, name: str) -> str:
         """Return the canonical name of a column; a single control may have any of the control names."""
+        name = SENSOR if name == STATION else name
         if name in self.known or (ours := control_named(name, self.controls)) == name:
             return name
         if ("", name) not in self.said:
@@ -227,15 +228,14 @@ class Layout:
 
     def _name(self, cell: str) -> str:
         """Return the column name in a header cell; raises UserError for unknown names."""
-        found = HEADER.fullmatch(cell)
-        name = self._called(found["name"] if found else cell)
+        name, unit = column_of(cell, self.measured)
+        name = self._called(name)
         if name not in self.known:
             expected = f"a header with {self._expected()}"
             message = (
                 f"measurements: expected {expected}; received {name!r}{nearest(name, sorted(self.known))}"
             )
             raise UserError(message)
-        unit = found["unit"] if found else None
         if unit is not None and name in TIME and self.clock is not None:
             self.clock = self.clock.named(unit)
         elif unit is not None and name in self.measured:

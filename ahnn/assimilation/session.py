@@ -26,10 +26,15 @@ WORDS = {
 
 
 class Session(StreamSession):
-    """Session for one object; arguments as in `StreamSession`, preceded by an `Assimilation`."""
+    """Session for one object; arguments as in `StreamSession`, preceded by an `Assimilation`.
+
+    Attributes:
+        fitted: number of the last line of measurements that the start was fitted to, which are left out.
+    """
 
     filter: Assimilation
     lines: Lines
+    fitted: int = 0
 
     def run(self, watch: Watcher | None = None) -> None:
         """Assimilate all lines of the stream.
@@ -59,6 +64,9 @@ class Session(StreamSession):
         assert self.layout is not None
         assert self.output is not None
         if self.layout.names and text == self.header:  # repeated header where tables are concatenated
+            return
+        if number <= self.fitted:
+            self.counts["fitted"] += 1
             return
         try:
             reading = self.layout.reading(text)

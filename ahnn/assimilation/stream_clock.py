@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 from ahnn.assimilation.cells import BadLine, number
-from ahnn.data.files.epochs import DATE, DAY, SECOND, instant, leaps, spelled
+from ahnn.data.files.epochs import DATE, SECOND, instant, spelled
 from ahnn.data.files.frames import TO_TT
 from ahnn.data.files.units import TIME, factor, unit
 from ahnn.data.reference import Reference
@@ -79,11 +78,8 @@ class StreamClock(NamedTuple):
         return clock.size if clock.dimension == TIME else 1.0
 
     def earth_angle(self) -> float:
-        """Return the Earth's rotation angle at time zero in rad (IERS Conventions 2010, 5.15), UT1 as UTC."""
-        moment = Reference(clock=self.system, epoch=self.zero).on("UTC").epoch or 0
-        seconds = moment / SECOND - leaps(moment // SECOND // DAY)
-        days = seconds / DAY - 0.5  # since J2000.0
-        return math.tau * ((0.7790572732640 + 0.00273781191135448 * days + days % 1.0) % 1.0)
+        """Return the Earth's rotation angle at time zero in rad."""
+        return Reference(clock=self.system, epoch=self.zero).earth_angle()
 
     def named(self, text: str) -> StreamClock:
         """Apply the time unit or time scale of a header to the clock; raises UserError."""

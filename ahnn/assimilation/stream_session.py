@@ -43,6 +43,7 @@ REMEDIES = {
     "lost": "Their filters have failed: set start= and start_sd=, or gate=",
     "unknown": "Their objects have no start: give a table of them, start=FILE, or one start for all, "
     "start=[..]",
+    "fitted": "The start uses all of them: set fitted=N to use fewer",
     "predicted": "Their values are missing: fill the columns of the sensor, or set measurement=",
 }
 """Remedies by the most frequent outcome, if no line was accepted."""

@@ -14,6 +14,7 @@ from ahnn.data import Simulated, Source, SplitData
 from ahnn.data.files.recordings import Recordings
 from ahnn.data.recorded_sensor import Recorded
 from ahnn.data.sensor import Sensor
+from ahnn.data.sources import Observed
 from ahnn.errors import UserError
 from ahnn.systems import System
 
@@ -46,7 +47,7 @@ def build_sensor(cfg: DictConfig, source: Source) -> Sensor | None:
     data = plain_config(cfg.data)
     # Runs of older versions lack some keys.
     options: dict[str, Any] = {name: data.get(name, value) for name, value in SENSOR.items()}
-    if isinstance(source, Recordings):
+    if isinstance(source, Recordings | Observed):
         return build_recorded(options, source)
     measured = options["measured"] or "state"
     options["measured"] = measured if isinstance(measured, str) else build(cfg.data.measured, "data.measured")
@@ -62,7 +63,7 @@ def build_sensor(cfg: DictConfig, source: Source) -> Sensor | None:
     return Sensor(source.space, **options, seed=cfg.data.seed)
 
 
-def build_recorded(options: dict[str, Any], source: Recordings) -> Recorded | None:
+def build_recorded(options: dict[str, Any], source: Recordings | Observed) -> Recorded | None:
     """Build the sensor of recorded data; None for exact states.
 
     Raises:
@@ -77,6 +78,8 @@ def build_recorded(options: dict[str, Any], source: Recordings) -> Recorded | No
             f"added; received {', '.join(drawn) or 'data.measured=' + str(measured)}"
         )
         raise UserError(message)
+    if isinstance(source, Observed):
+        return build_sighted(kept, source)
     if noise is None and not source.positions_only and measured is None:
         return None
     if noise is None or (source.positions_only and measured == "state"):
@@ -89,6 +92,23 @@ def build_recorded(options: dict[str, Any], source: Recordings) -> Recorded | No
         raise UserError(message)
     kind = measured or ("position" if source.positions_only else "state")
     options = {**kept, "measured": kind}
+    check_arguments("data", Recorded, options, ("space", "every", "gaps", "outliers", "seed"))
+    return Recorded(source.space, **options)
+
+
+def build_sighted(options: dict[str, Any], source: Observed) -> Recorded:
+    """Build the sensor of what stations measured, with the noise and the biases of their file unless given.
+
+    Raises:
+        UserError: other measurements.
+    """
+    seen = source.measurement
+    if options["measured"] is not None:
+        message = f"data.measured: expected null, since stations measured; received {options['measured']}"
+        raise UserError(message)
+    biased = seen.bias_sd if any(seen.bias_sd) else None
+    options |= {"measured": seen, "noise": options["noise"] or seen.deviations}
+    options["bias_sd"] = biased if options["bias_sd"] is None else options["bias_sd"]
     check_arguments("data", Recorded, options, ("space", "every", "gaps", "outliers", "seed"))
     return Recorded(source.space, **options)
 

@@ -15,7 +15,7 @@ from ahnn.arguments import check_arguments, nearest
 from ahnn.assimilation import Assimilation, Catalogue, Process, StreamSensor
 from ahnn.assimilation.assimilation_record import require_orbit
 from ahnn.assimilation.object_shard import ObjectShard
-from ahnn.assimilation.start import begin, belief_of
+from ahnn.assimilation.start import Begin, begin, belief_of
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.cli.build import blaming, build, build_all, plain_config
 from ahnn.cli.compose import composed
@@ -27,12 +27,13 @@ from ahnn.cli.unused_keys import refuse, unread_online
 from ahnn.data import SplitData
 from ahnn.data.files.epochs import spelled
 from ahnn.data.reference import Reference
-from ahnn.data.starts import of_one_state, starts
+from ahnn.data.starts import Starts, of_one_state, starts
 from ahnn.errors import UserError
 from ahnn.evaluation import Case, EvaluationPlugin
 from ahnn.evaluation.make_case import make_case
 from ahnn.jobs.assimilation_request import AssimilationRequest, Stream, require_places
 from ahnn.jobs.control_times import control_names, known_controls
+from ahnn.jobs.fitted_start import fitted_start
 from ahnn.loading import load
 from ahnn.measurements import reading
 from ahnn.measurements.station_file import BiasedStation, read_stations
@@ -67,12 +68,16 @@ def read_stream(arguments: list[str], usage: str) -> Stream:
 
 
 def require_own_keys(options: AssimilationRequest, nodes: DictConfig) -> None:
-    """Raise UserError for keys of an orbit determination with a run, and for sensors defined twice."""
-    given = {"folder": options.folder, "fitted": options.fitted}
-    given["start"] = options.start if options.start == "fit" else None
-    for key, value in given.items():
-        if value is not None:
-            message = f"{key}: expected orbit=FILE.yaml beside {key}={value}; received a run"
+    """Raise UserError for keys without those they belong to, and for sensors defined twice."""
+    if options.folder is not None:
+        message = f"folder: expected orbit=FILE.yaml with folder={options.folder}; received a run"
+        raise UserError(message)
+    if options.start != "fit" and options.fitted is not None:
+        message = f"fitted: expected start=fit with fitted={options.fitted}; received another start"
+        raise UserError(message)
+    for key in ("start_sd", "time", "objects", "controls") if options.start == "fit" else ():
+        if (value := getattr(options, key)) is not None:
+            message = f"{key}: expected none with start=fit; received {value}"
             raise UserError(message)
     if options.stations is not None and nodes:
         message = f"stations: expected no other sensors; received {', '.join(map(str, nodes))}"
@@ -190,8 +195,13 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
     source = cache(lambda: build_source(cfg))
     named = Reference(asked.frame or "", asked.center or "", (asked.time_system or "").upper())
     ours = Reference.of(run.space.frame).chosen(named).since(asked.epoch)
-    found = starts(asked.start, run.space, ours, sd=asked.start_sd, last=True)
-    clock, time, reference = begin(found, ours, asked.time, run.space.units.time)
+    fit, unit = asked.start == "fit", run.space.units.time
+    if fit:
+        clock, time, reference = Begin(StreamClock(unit, ours.epoch, ours.clock or "UTC"), 0.0, ours)
+        found = Starts((), torch.empty(0), torch.empty(0))
+    else:
+        found = starts(asked.start, run.space, ours, sd=asked.start_sd, last=True)
+        clock, time, reference = begin(found, ours, asked.time, unit)
     if asked.oem:
         require_orbit(run.space, reference)
     if asked.stations is None:
@@ -200,6 +210,10 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
         sensors = build_sensors(nodes, cfg, run, lambda: source().truth)
     else:
         sensors = stations_of_file(asked.stations, run.space, clock)
+    line = 0
+    if fit:
+        found, line = fitted_start(run, sensors, asked.measurements, clock, asked.fitted)
+        time = float(found.times)
     deviations = None
     if (
         found.covariances is None
@@ -241,7 +255,7 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
         filtering = Catalogue(process, sensors, belief, names, times=times, **limits)
         filtering.begun |= {} if asked.shard is None else {"shard": asked.shard}
     name = asked.object or (found.names[0] if isinstance(asked.start, str) else "UNKNOWN")
-    return Stream(asked, run.space, filtering, clock, reference, name, control_names(run))
+    return Stream(asked, run.space, filtering, clock, reference, name, control_names(run), fitted=line)
 
 
 def require_angles(nodes: Any, clock: StreamClock) -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import NamedTuple
 
-from ahnn.data.files.epochs import SECOND, instant, spelled
+from ahnn.data.files.epochs import DAY, SECOND, instant, leaps, spelled
 from ahnn.data.files.frame_names import INERTIAL, ROTATING, canonical, known
 from ahnn.data.files.frames import TO_TT
 from ahnn.errors import UserError
@@ -60,6 +61,13 @@ class Reference(NamedTuple):
             raise UserError(message)
         shift = round((TO_TT[self.clock] - TO_TT[clock]) * SECOND)
         return self._replace(clock=clock, epoch=self.epoch + shift)
+
+    def earth_angle(self) -> float:
+        """Return the Earth's rotation angle at the epoch in rad (IERS Conventions 2010, 5.15), UT1 as UTC."""
+        moment = self.on("UTC").epoch or 0
+        seconds = moment / SECOND - leaps(moment // SECOND // DAY)
+        days = seconds / DAY - 0.5  # since J2000.0
+        return math.tau * ((0.7790572732640 + 0.00273781191135448 * days + days % 1.0) % 1.0)
 
     def filled(self, other: Reference) -> Reference:
         """Fill missing fields from another reference; its epoch is converted to this time scale."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import torch
 
@@ -13,6 +13,7 @@ from ahnn.data import store
 from ahnn.data.files.recordings import Recordings
 from ahnn.data.generate import generate, generated
 from ahnn.data.in_memory import content_of
+from ahnn.measurements import Observations
 from ahnn.memory import require_disk
 from ahnn.systems import System
 from ahnn.types import Space, Trajectories
@@ -41,6 +42,20 @@ class Source(Protocol):
 
     def read(self) -> Trajectories:
         """Return the trajectories."""
+        ...
+
+
+@runtime_checkable
+class Observed(Source, Protocol):
+    """Source of measurements that are no components of states, whose `read` has the positions they show."""
+
+    @property
+    def measurement(self) -> Any:
+        """Model of all its sensors side by side, with their noise and biases."""
+        ...
+
+    def observations(self) -> Observations:
+        """Return the measurements of all trajectories, (B, T, M), NaN where missing."""
         ...
 
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from ahnn.data.fingerprints import recognised, remembered
 from ahnn.data.noise_floor import differences_level, looked_at
 from ahnn.data.sensor import Sensor
-from ahnn.data.sources import Source
+from ahnn.data.sources import Observed, Source
 from ahnn.errors import UserError
 from ahnn.measurements import Instrument, Observations
 from ahnn.statistics import sampling_interval
@@ -36,6 +36,7 @@ class SplitData:
         self.fractions = split
         check_fractions(split)
         self._parts: dict[Split, Trajectories] = {}
+        self._rows: dict[Split, slice] = {}
         self._measured: dict[Split, Observations] = {}
 
     def __getitem__(self, split: Split) -> Trajectories:
@@ -44,7 +45,8 @@ class SplitData:
             data = self.source.read()
             begin = 0
             for name, size in zip(SPLITS, split_sizes(len(data.states), self.fractions), strict=True):
-                self._parts[name] = data.part(slice(begin, begin + size))
+                self._rows[name] = slice(begin, begin + size)
+                self._parts[name] = data.part(self._rows[name])
                 begin += size
         return self._parts[split]
 
@@ -103,7 +105,11 @@ class SplitData:
         """Return the measurements of a split."""
         assert self.sensor is not None
         if split not in self._measured:
-            self._measured[split] = self.sensor.measure(self[split], SPLITS.index(split))
+            truth = self[split]
+            if isinstance(self.source, Observed):
+                self._measured[split] = self.source.observations().part(self._rows[split])
+            else:
+                self._measured[split] = self.sensor.measure(truth, SPLITS.index(split))
         return self._measured[split]
 
     def instrument(self) -> Instrument:

@@ -16,6 +16,7 @@ from ahnn.dynamics import Dynamics, HasEnergy
 from ahnn.evaluation.case import Case, perturbations
 from ahnn.evaluation.goodness_of_fit import fit_to
 from ahnn.measurements import Instrument, NoiseEstimate, Segment
+from ahnn.measurements.smoothing import located_at
 from ahnn.shooting.robust import RobustName
 from ahnn.statistics import sampling_interval
 from ahnn.stored import read
@@ -88,9 +89,10 @@ def learned_from(data: SplitData, noise: NoiseEstimate | None) -> Segment:
 
 
 def as_test(measured: Segment) -> Trajectories:
-    """Return measurements of positions or states as test trajectories, NaN where unmeasured."""
-    missing = 2 * measured.instrument.dof - measured.values.shape[-1]
-    return Trajectories(pad(measured.values, (0, missing), value=torch.nan), measured.times)
+    """Return the positions or states that measurements show as test trajectories, NaN elsewhere."""
+    shown = located_at(measured.instrument, measured.values, measured.times)
+    missing = 2 * measured.instrument.dof - shown.shape[-1]
+    return Trajectories(pad(shown, (0, missing), value=torch.nan), measured.times)
 
 
 def measured_test(data: SplitData, noise: NoiseEstimate | None) -> Segment | None:

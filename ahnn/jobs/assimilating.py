@@ -51,6 +51,7 @@ def assimilate(stream: Stream) -> None:
         rows = Rows(track_names(space), filtering.sensors, kind, beside, **more)
         given = options.output, state, options.every or EVERY, stream.clock, stream.controls
         session = Session(filtering, lines, rows, *given)
+        session.fitted = stream.fitted
         view = View(space) if options.watch else None
         gc.collect()
         gc.freeze()  # garbage collection of existing objects must not delay lines

@@ -69,6 +69,7 @@ class Stream(NamedTuple):
         name: name of the tracked object.
         controls: names of the model's controls.
         followed: measurements of an orbit determination, used instead of lines.
+        fitted: number of the last line to which the start was fitted.
     """
 
     asked: AssimilationRequest
@@ -79,6 +80,7 @@ class Stream(NamedTuple):
     name: str
     controls: tuple[str, ...] = ()
     followed: FollowedMeasurements | None = None
+    fitted: int = 0
 
 
 def require_places(options: AssimilationRequest) -> None:
@@ -107,7 +109,7 @@ def require_together(options: AssimilationRequest) -> None:
     if options.objects is None:
         for key in ("states", "shard"):
             if (value := getattr(options, key)) is not None:
-                message = f"{key}: expected objects=COLUMN beside it; received {key}={value} alone"
+                message = f"{key}: expected objects=COLUMN with it; received {key}={value} alone"
                 raise UserError(message)
         return
     one = {key: getattr(options, key) for key in ("figures", "oem", "object", "controls", "lag")}

@@ -1,12 +1,12 @@
 """Ground station observing a satellite with state [position, momentum] in an inertial frame.
 
-Light time, refraction and polar motion are not modelled.
+Refraction and polar motion are not modelled; light time is, where measurements are tagged with its ends.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Literal
 
 import torch
 from torch import Tensor
@@ -24,6 +24,13 @@ EARTH_RADIUS = 6378.137
 EARTH_FLATTENING = 1.0 / 298.257223563
 """Flattening of the WGS 84 ellipsoid (NIMA TR8350.2)."""
 
+LIGHT = 299792.458
+"""Speed of light in km/s."""
+
+Event = Literal["bounce", "receive", "transmit"]
+"""Events tagged by measurement times: bounce at the satellite, reception or transmission at the station."""
+TO_BOUNCE = {"bounce": 0.0, "receive": -1.0, "transmit": 1.0}
+"""Light times from each event to the bounce."""
 
 Degrees = Annotated[float, Within(-90, 90)]
 """Latitude or elevation in degrees."""
@@ -48,6 +55,8 @@ class GroundStation(Differing):
         flattening: flattening of the ellipsoid; 0 for a sphere.
         mass: mass of the satellite in kg; the range-rate is that of the velocity p / mass.
         min_elevation: minimum elevation in degrees. 0 is the horizon, -90 means unlimited view.
+        event: what the times of measurements tag. At `bounce` geometry is instantaneous; else light takes its
+            time, there and back: a range is half the way, and positions move by their velocities.
 
     Raises:
         UserError: a number is not finite or outside its limits.
@@ -66,7 +75,9 @@ class GroundStation(Differing):
         flattening: Annotated[float, Within(0, below=1)] = EARTH_FLATTENING,
         mass: Positive = 1.0,
         min_elevation: Degrees = 0.0,
+        event: Event = "bounce",
     ) -> None:
+        self.to_bounce = TO_BOUNCE[event]
         self.mass = mass
         self.min_elevation = math.radians(min_elevation)
         self.names = ("range", "azimuth", "elevation", *(("range_rate",) if range_rate else ()))
@@ -86,13 +97,19 @@ class GroundStation(Differing):
 
         Also defined for states below the horizon: see `in_view`.
         """
-        check_state(x, 6 if len(self.names) == 4 else 3, "GroundStation")
+        check_state(x, 6 if len(self.names) == 4 or self.to_bounce else 3, "GroundStation")
         site, axes, drift = self._frame(x, t)
         line = x[..., :3] - site
+        other = line
+        if self.to_bounce:
+            delay = self.to_bounce * line.square().sum(-1, keepdim=True).sqrt() / LIGHT
+            line = line + delay * x[..., 3:6] / self.mass
+            other = line - 2 * delay * drift  # from where the station is at the other end
         east, north, up = (line.unsqueeze(-2) @ axes).squeeze(-2).unbind(-1)
         distance = line.square().sum(-1).sqrt()
         elevation = torch.atan2(up, torch.hypot(east, north))
-        parts = [distance, wrap(torch.atan2(east, north)), elevation]
+        ranged = 0.5 * (distance + other.square().sum(-1).sqrt()) if self.to_bounce else distance
+        parts = [ranged, wrap(torch.atan2(east, north)), elevation]
         if len(self.names) == 4:
             relative = x[..., 3:6] / self.mass - drift
             parts.append((line * relative).sum(-1) / distance)

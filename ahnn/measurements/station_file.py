@@ -5,6 +5,7 @@ latitude: 67.86            # degrees, geodetic
 longitude: 20.96
 height: 400                # m
 min_elevation: 10          # degrees
+event: receive             # or transmit: times tag it, light takes its time; bounce, the default, has none
 noise: {range: 0.05, azimuth: 0.006, elevation: 0.006}     # km, degrees, km/s; what it measures
 bias: {range: 0.02}        # of what is measured, as it is known
 bias_sd: {range: 0.1}      # and to what; estimated
@@ -14,7 +15,7 @@ troll: [-72.0, 2.5, 1270]    # latitude, longitude, height
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,7 @@ from ahnn.contents import read_plain
 from ahnn.errors import UserError
 from ahnn.measurements.angles import Differing
 from ahnn.measurements.base import Time
-from ahnn.measurements.ground_station import Degrees, GroundStation
+from ahnn.measurements.ground_station import Degrees, Event, GroundStation
 from ahnn.measurements.several import Several
 
 SEEN = ("range", "azimuth", "elevation", "range_rate")
@@ -43,6 +44,7 @@ class StationEntry:
         latitude, longitude: geodetic, degrees.
         height: m above the ellipsoid.
         min_elevation: degrees below which it sees nothing.
+        event: that times tag; None where nothing is said.
         noise: standard deviations by kind, km, degrees and km/s.
         bias: known biases, likewise.
         bias_sd: standard deviations of the biases, likewise.
@@ -52,12 +54,13 @@ class StationEntry:
     longitude: Finite
     height: Finite = 0.0
     min_elevation: Degrees = 0.0
+    event: Event | None = None
     noise: dict[str, float] = field(default_factory=dict)
     bias: dict[str, float] = field(default_factory=dict)
     bias_sd: dict[str, float] = field(default_factory=dict)
 
     def numbers(self, kind: str, other: float = 0.0) -> list[float]:
-        """Return `noise`, `bias` or `bias_sd` of `SEEN`, km, rad and km/s; another number without one."""
+        """Return `noise`, `bias` or `bias_sd` for each of `SEEN`, in km, rad, km/s; `other` where missing."""
         given = getattr(self, kind)
         return [given[name] * FACTORS.get(name, 1.0) if name in given else other for name in SEEN]
 
@@ -95,19 +98,25 @@ class BiasedStation(Differing):
         entry: of the file.
         earth_angle: of the Greenwich meridian from the inertial x axis at t = 0, rad.
         mass: of the satellite in kg.
+        who: prefix of messages.
 
     Raises:
         UserError: nothing that it measures.
     """
 
-    def __init__(self, entry: StationEntry, earth_angle: float = 0.0, mass: float = 1.0) -> None:
+    def __init__(
+        self, entry: StationEntry, earth_angle: float = 0.0, mass: float = 1.0, who: str = ""
+    ) -> None:
         kept = [k for k, name in enumerate(SEEN) if name in entry.noise]
         if not kept:
-            message = f"noise: expected standard deviations of {', '.join(SEEN)}, or of some; received none"
+            message = (
+                f"{who}noise: expected standard deviations of {', '.join(SEEN)}, or of some; received none"
+            )
             raise UserError(message)
         place = entry.latitude, entry.longitude, entry.height / 1e3
         lowest = {"min_elevation": entry.min_elevation, "earth_angle": earth_angle}
-        self.station = GroundStation(*place, range_rate=True, mass=mass, **lowest)
+        self.event: Event = entry.event or "bounce"
+        self.station = GroundStation(*place, range_rate=True, mass=mass, event=self.event, **lowest)
         self.kept, self.mass = kept, mass
         self.names = tuple(SEEN[k] for k in kept)
         self.units = tuple(self.station.units[k] for k in kept)
@@ -131,22 +140,42 @@ class BiasedStation(Differing):
 
 
 class StationsOfFile(Several):
-    """The stations of a file, side by side.
+    """The stations of a file, side by side; components have the names of their stations, as `kiruna.range`.
 
     Args:
         file: path of the stations, see `ahnn.measurements.station_file`.
         earth_angle: of the Greenwich meridian from the inertial x axis at t = 0, rad; None is 0.
         mass: of the satellite in kg.
+        only: names of those that count; None for all.
 
     Attributes:
+        stations: by name.
         deviations: standard deviations of all their numbers.
+        bias_sd: those of their biases, 0 for none.
 
     Raises:
         UserError: no station, or an invalid one.
     """
 
-    def __init__(self, file: str, earth_angle: float | None = None, mass: float = 1.0) -> None:
-        models = [BiasedStation(one, earth_angle or 0.0, mass) for one in read_stations(file).values()]
+    def __init__(
+        self,
+        file: str,
+        earth_angle: float | None = None,
+        mass: float = 1.0,
+        only: Sequence[str] | None = None,
+    ) -> None:
+        known = read_stations(file)
+        self.stations = {
+            name: BiasedStation(known[name], earth_angle or 0.0, mass, f"{file}: {name}.")
+            for name in known
+            if only is None or name in only
+        }
+        if lacking := [name for name in only or () if name not in known]:
+            message = f"{file}: expected stations {', '.join(only or ())}; received none named {lacking[0]!r}"
+            raise UserError(message + nearest(lacking[0], tuple(known)))
+        models = [*self.stations.values()]
         super().__init__(models)
+        self.names = tuple(f"{key}.{name}" for key, one in self.stations.items() for name in one.names)
         self.file, self.mass = file, mass
         self.deviations = [sd for model in models for sd in model.deviations]
+        self.bias_sd = [sd for model in models for sd in model.bias_sd]

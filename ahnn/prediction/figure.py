@@ -11,6 +11,8 @@ from ahnn.types import Space
 
 SIGMAS = 3
 """Half-width of the band, in standard deviations."""
+PLOTTED = 300
+"""Number of sampling intervals in a plot without times."""
 
 
 def prediction_figure(prediction: Prediction, space: Space, title: str) -> Figure:

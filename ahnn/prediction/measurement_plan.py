@@ -2,8 +2,8 @@
 
 To first order, a measurement's information does not depend on its value. The unknowns are independent with
 unit variance, the columns of factors of covariances. A plan grows by the candidate that lowers the trace of
-the forecast's covariance most (a greedy design for A-optimality of the forecast; Chaloner & Verdinelli 1995,
-Statist. Sci. 10, 273).
+the forecast's covariance most; then single measurements are exchanged while that lowers it further (Fedorov
+1972, Theory of Optimal Experiments, chapter 3).
 """
 
 from __future__ import annotations
@@ -13,6 +13,11 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+
+SWEEPS = 10
+"""Number of exchanges of each measurement, at most."""
+MARGIN = 1e-6
+"""Relative gain of an exchange above rounding."""
 
 
 class MeasurementPlan(NamedTuple):
@@ -29,7 +34,7 @@ class MeasurementPlan(NamedTuple):
 
 @torch.no_grad()
 def plan_measurements(candidates: Sequence[Tensor], forecast: Tensor, count: int) -> MeasurementPlan:
-    """Choose measurements one by one, each the best beside those before it.
+    """Choose measurements of which no single one can be exchanged for a better one, best first.
 
     Args:
         candidates: of each, the derivative (K, R) of its K measurements by the unknowns, over their standard
@@ -37,14 +42,35 @@ def plan_measurements(candidates: Sequence[Tensor], forecast: Tensor, count: int
         forecast: (G, R) derivative of the predicted values.
         count: number to choose, at most all.
     """
-    rows, chosen, variances = list(candidates), [], [_trace(forecast)]
-    for _ in range(min(count, len(rows))):
-        left = [k for k in range(len(rows)) if k not in chosen]
-        best = max(left, key=lambda k: _reduction(rows[k], forecast))
-        chosen.append(best)
-        *rows, forecast = _informed([*rows, forecast], rows[best])
+    rows, everything = list(candidates), range(len(candidates))
+    chosen, _ = _one_by_one(rows, forecast, everything, count)
+    for _ in range(SWEEPS):
+        before = list(chosen)
+        for place in range(len(chosen)):
+            others = chosen[:place] + chosen[place + 1 :]
+            left = [k for k in everything if k not in others]
+            known = torch.cat([rows[k] for k in others]) if others else forecast[:0]
+            *free, moved = _informed([*(rows[k] for k in left), forecast], known)
+            gains = [_reduction(one, moved) for one in free]
+            best = max(range(len(left)), key=gains.__getitem__)
+            if gains[best] > (1 + MARGIN) * gains[left.index(chosen[place])]:
+                chosen[place] = left[best]
+        if chosen == before:
+            break
+    return MeasurementPlan(*_one_by_one(rows, forecast, chosen, count))
+
+
+def _one_by_one(
+    rows: list[Tensor], forecast: Tensor, among: Sequence[int], count: int
+) -> tuple[list[int], Tensor]:
+    """Choose among some candidates the best beside those before it; return also the variances."""
+    chosen, variances = [], [_trace(forecast)]
+    for _ in range(min(count, len(among))):
+        left = [k for k in among if k not in chosen]
+        chosen.append(max(left, key=lambda k: _reduction(rows[k], forecast)))
+        *rows, forecast = _informed([*rows, forecast], rows[chosen[-1]])
         variances.append(_trace(forecast))
-    return MeasurementPlan(chosen, torch.stack(variances))
+    return chosen, torch.stack(variances)
 
 
 @torch.no_grad()

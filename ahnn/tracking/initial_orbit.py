@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,6 +83,24 @@ def gauss(sites: Array, directions: Array, times: Array) -> list[Array]:
     return found
 
 
+class OrbitOfPositions(NamedTuple):
+    """State (6,) at a time, and the angle of the arc that it is of."""
+
+    state: Array
+    time: float
+    arc: float
+
+
+def orbit_of_positions(positions: Array, times: Array) -> OrbitOfPositions | None:
+    """Return an orbit through three positions of (T, 3) that span most of an arc; None if there is none."""
+    if (chosen := triple(positions)) is None:
+        return None
+    at, three = times[chosen], positions[chosen]
+    wide = min(angle(three[0], three[1]), angle(three[1], three[2])) > APART
+    velocity = gibbs(three) if wide else herrick_gibbs(three, at)
+    return OrbitOfPositions(np.concatenate((three[1], velocity)), float(at[1]), angle(three[0], three[2]))
+
+
 def initial_orbit(model: TrackingModel) -> tuple[Array, float]:
     """Return a state (6,) in GCRF and its time, to begin a fit of measurements with.
 
@@ -98,11 +117,8 @@ def initial_orbit(model: TrackingModel) -> tuple[Array, float]:
         sites = model.site(model.stations[k], times)
         ranged = np.isfinite(ranges)
         places = sites[ranged] + ranges[ranged, None] * lines[ranged]
-        if (chosen := triple(places)) is not None:
-            at, three = times[ranged][chosen], places[chosen]
-            wide = min(angle(three[0], three[1]), angle(three[1], three[2])) > APART
-            velocity = gibbs(three) if wide else herrick_gibbs(three, at)
-            guesses.append((1.0, angle(three[0], three[2]), np.concatenate((three[1], velocity)), at[1]))
+        if (found := orbit_of_positions(places, times[ranged])) is not None:
+            guesses.append((1.0, found.arc, found.state, found.time))
         if (chosen := triple(lines, SERIES)) is not None:
             for state in gauss(sites[chosen], lines[chosen], times[chosen]):
                 guesses.append((0.0, angle(*lines[chosen][[0, 2]]), state, times[chosen][1]))

@@ -173,7 +173,15 @@ def entries_of(setup: OrbitSetup, folder: Path, data: TrackingData) -> dict[str,
         if name not in known:
             message = f"stations.{name}: expected [latitude, longitude, height], degrees and m; received None"
             raise UserError(message + nearest(name, tuple(known)))
+        require_event(known[name], name, data)
     return known
+
+
+def require_event(entry: StationEntry, name: str, data: TrackingData) -> None:
+    """Raise UserError for a station that says that times tag another event than the data do."""
+    if entry.event not in (None, data.event):
+        message = f"stations: {name}.event: expected {data.event}, as measured; received {entry.event}"
+        raise UserError(message)
 
 
 def stations_of(

@@ -18,12 +18,11 @@ from torch import Tensor
 from ahnn.measurements.angles import Differing
 from ahnn.measurements.base import Time
 from ahnn.tracking.satellite_flow import SIZE
-from ahnn.tracking.tracking_data import KINDS, Kind
+from ahnn.tracking.tracking_data import KINDS, UNITS, Kind
 from ahnn.tracking.tracking_model import PredictedTracking, TrackingModel
 from ahnn.tracking.tracking_station import EARTH_MU
 
 Array = NDArray[np.float64]
-UNITS = dict.fromkeys(KINDS, "rad") | {"range": "km", "range_rate": "km/s"}
 
 
 class NearbyStates(NamedTuple):

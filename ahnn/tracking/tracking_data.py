@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from ahnn.data.files import epochs
 from ahnn.errors import UserError
+from ahnn.measurements.ground_station import Event
 
 Kind = Literal["range", "azimuth", "elevation", "range_rate", "right_ascension", "declination"]
 """Kinds of measurements: km, rad or km/s; a range is half the two-way light time, times c."""
 KINDS: tuple[Kind, ...] = ("range", "azimuth", "elevation", "range_rate", "right_ascension", "declination")
-Event = Literal["receive", "transmit", "bounce"]
-"""Events tagged by measurement times: reception or transmission at the station, bounce at the satellite."""
+UNITS = dict.fromkeys(KINDS, "rad") | {"range": "km", "range_rate": "km/s"}
 
 
 @dataclass(frozen=True, eq=False)

@@ -186,7 +186,7 @@ def test_the_identity_of_a_filter_is_that_of_its_parts_and_not_of_its_objects():
         (Reading(1.0, (1.0,), "sonar"), "sensor: expected one of ruler, radar; received 'sonar'"),
         (Reading(1.0, (1.0,)), "sensor: expected one of ruler, radar"),
         (Reading(1.0, (1.0, 2.0), "ruler"), "reading: expected a time and q"),
-        (Reading(math.nan, (1.0,), "ruler"), "reading: expected a time"),
+        (Reading(math.nan, (1.0,), "ruler"), "reading: expected a finite time"),
     ],
 )
 def test_a_reading_that_is_none_is_refused(reading, message):

@@ -36,7 +36,7 @@ def file(tmp_path):
 def test_they_measure_as_one_by_one_with_their_biases_masks_and_noise(file):
     model, kiruna = StationsOfFile(str(file)), GroundStation(67.86, 20.96, 0.4, min_elevation=10.0)
     troll = GroundStation(-72.0, 2.5, range_rate=True)
-    assert model.names == ("1.range", "1.azimuth", "1.elevation", "2.range_rate")
+    assert model.names == ("kiruna.range", "kiruna.azimuth", "kiruna.elevation", "troll.range_rate")
     wanted = kiruna(X, 60.0) + torch.tensor([0.02, math.radians(0.1), 0.0]).double()
     assert torch.allclose(model(X, 60.0)[:, :3], wanted, rtol=1e-7)
     assert torch.allclose(model(X, 60.0)[:, 3], troll(X, 60.0)[:, 3], rtol=1e-13)

@@ -46,13 +46,13 @@ def deviations(row):
 @pytest.mark.parametrize(
     ("given", "more", "said"),
     [
-        ({"frame": "ITRF2014"}, [], "expected an inertial frame; received ITRF2014. frame= names"),
+        ({"frame": "ITRF2014"}, [], "expected an inertial frame; received ITRF2014. Set frame= to"),
         ({"center": "MARS"}, [], "expected centre EARTH, that of the model; received MARS"),
         ({"center": "MARS"}, ["frame=[GCRF,EARTH]"], "expected centre EARTH, that of the model"),
         ({}, ["frame=[TEME,EARTH]"], "expected frame TEME, that of the model; received EME2000"),
         ({"frame": "TNW"}, ["frame=[GCRF]"], "expected frame GCRF, that of the model; received TNW"),
         ({"clock": "UT1"}, ["frame=[EME2000,EARTH,UTC]"], "time system: expected UT1, or two of UTC"),
-        ({}, ["epoch=2024-03-01T12:00:00"], "epoch: expected none, since the file of the start has its own"),
+        ({}, ["epoch=2024-03-01T12:00:00"], "epoch: expected none, since the start file has its own"),
         ({"axes": "TNW"}, [], "expected a covariance in EME2000 or RTN; received one in TNW"),
     ],
 )

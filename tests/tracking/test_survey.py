@@ -130,7 +130,7 @@ def test_training_on_tracking_data_is_refused_by_name(tmp_path, capsys):
         call("ahnn.train", "system=files", f"system.path={tmp_path / 'a.npt'}", f"run={tmp_path / 'r'}") == 2
     )
     err = capsys.readouterr().err
-    assert "received laser ranging data (CRD). It contains no trajectories; python -m ahnn.data check" in err
+    assert "received laser ranging data (CRD). It contains no trajectories: system=sightings" in err
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="no real files beside the checkout")

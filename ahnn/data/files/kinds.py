@@ -91,10 +91,15 @@ SIGNS: tuple[tuple[re.Pattern[str], Kind], ...] = (
     (MEAN_ELEMENTS, "omm"),
 )
 """Beginnings of the first line of supported formats."""
+SIGHTING_COLUMNS = re.compile(
+    r"(?i)(?=.*[,;\t])(?=.*\b(station|sensor)\b)(?=.*\b(range|elevation|declination)(_|\b))"
+)
+"""Header of a table of what stations measured."""
 LINES: tuple[tuple[re.Pattern[str], Kind], ...] = (
     (re.compile(r"\s*H1\s+CPF\b", re.IGNORECASE), "cpf"),
     (re.compile(r"\s*H1\s+CRD\b", re.IGNORECASE), "crd"),
     (re.compile(r"\s*\d{4}-\S+T\S+\s+(RANGE|RANGE_RATE|AZ_EL|RA_DEC)\s+\S+\s+[-+.\d]"), "station_table"),
+    (SIGHTING_COLUMNS, "station_table"),
     (re.compile(r"\s*BULLETIN B \d+", re.IGNORECASE), "bulletin_b"),
 )
 """Beginnings of the first lines that are not comments."""

@@ -129,9 +129,10 @@ def cut(track: Track, samples: int | None) -> list[Track]:
     return [track.part(part) for part in np.array_split(np.arange(len(track.times)), count)]
 
 
-def trimmed(track: Track) -> Track:
-    """Trim a track to the range from its first to its last complete sample."""
-    chosen = np.flatnonzero(np.isfinite(track.values).all(1))
+def trimmed(track: Track, *, partly: bool = False) -> Track:
+    """Trim a track to the range from its first to its last complete sample, or partly known one."""
+    there = np.isfinite(track.values)
+    chosen = np.flatnonzero(there.any(1) if partly else there.all(1))
     return track.part(slice(chosen[0], chosen[-1] + 1) if len(chosen) else slice(0))
 
 

@@ -6,12 +6,13 @@ import csv
 import logging
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, Literal, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ahnn.data.files.units import is_unit
 from ahnn.errors import UserError
 
 log = logging.getLogger(__name__)
@@ -183,6 +184,17 @@ def header_of(cells: Sequence[str], place: Place) -> Header:
         names.append(name)
         units.append(found["unit"])
     return Header(tuple(names), tuple(units))
+
+
+def column_of(cell: str, known: Collection[str]) -> tuple[str, str | None]:
+    """Return name and unit of a column such as `range [km]`; of a known name also `range_km`."""
+    found = HEADER.fullmatch(cell)
+    name, unit = (found["name"], found["unit"]) if found else (cell, None)
+    stem = max((one for one in known if name.startswith(f"{one}_")), key=len, default=None)
+    if unit is None and name not in known and stem is not None:
+        said = name.removeprefix(f"{stem}_").replace("_", "/")
+        return (stem, said) if is_unit(said) else (name, None)
+    return name, unit
 
 
 def is_number(text: str) -> bool:

@@ -70,6 +70,14 @@ def unit(text: str) -> Unit:
     return Unit(text.strip() or "1", size, tuple(dimension))
 
 
+def is_unit(text: str) -> bool:
+    """Return whether a text is a unit with a dimension."""
+    try:
+        return unit(text).dimension != NONE.dimension
+    except ValueError:
+        return False
+
+
 def factor(theirs: str, ours: str) -> float:
     """Return the conversion factor of a unit to ours; raises ValueError for other dimensions."""
     if theirs == ours:

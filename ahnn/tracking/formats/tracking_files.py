@@ -8,6 +8,7 @@ from ahnn.data.files.kinds import ABOUT, Kind, kind_of
 from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.files.table import Note, Place, refuse
 from ahnn.tracking.formats.crd import crd_data
+from ahnn.tracking.formats.sighting_columns import columns_data, has_columns
 from ahnn.tracking.formats.station_table import table_data
 from ahnn.tracking.formats.tdm import tdm_data
 from ahnn.tracking.formats.tracking_sidecar import sidecar_of
@@ -37,4 +38,6 @@ def read_tracking(
     text, said = decoded(raw, path), sidecar_of(path, None if aside is None else Path(aside))
     if kind == "crd":
         return crd_data(text, file, note)
-    return tdm_data(text, file, said.two_way, note) if kind == "tdm" else table_data(text, file, said, note)
+    if kind == "tdm":
+        return tdm_data(text, file, said.two_way, note)
+    return (columns_data if has_columns(text) else table_data)(text, file, said, note)

@@ -1,0 +1,143 @@
+"""Source of trainings on what stations measured: ranges, angles and range rates of satellites in files.
+
+States are in the true equator of date, about whose pole the Earth turns (CIRS): precession, nutation, polar
+motion and refraction are not modelled, as by `ahnn.measurements.GroundStation`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import torch
+from torch.nn.functional import pad
+
+from ahnn.arguments import Within, checked
+from ahnn.data.files.epochs import SECOND
+from ahnn.data.files.raw import content_of
+from ahnn.data.files.reading import bytes_of
+from ahnn.data.files.samples import Track, filled, stacked, trimmed
+from ahnn.data.files.samples import cut as cut_to
+from ahnn.data.files.source import require_different
+from ahnn.data.reference import Reference
+from ahnn.errors import UserError
+from ahnn.measurements import Observations, StationsOfFile, continuous, periods
+from ahnn.systems import System
+from ahnn.tracking.formats.tracking_files import read_tracking
+from ahnn.tracking.tracking_data import KINDS, TrackingData
+from ahnn.types import Space, Trajectories, Units
+
+log = logging.getLogger(__name__)
+UNITS = Units("s", "km", "km/s", "km²/s²")
+FRAME = Reference("CIRS", "EARTH", "UTC")
+
+
+@checked
+class Sightings:
+    """Trajectories of satellites as stations measured them, per unit mass.
+
+    Args:
+        name: name of the data, in folders and tables.
+        path: path of one or several files, as `read_tracking` reads them; each satellite of a file is a
+            trajectory.
+        stations: file of the stations, see `ahnn.measurements.station_file`: what one has a noise of counts.
+        cut: number of times of the segments into which trajectories are cut; None for no cutting.
+        gap: multiple of the median step that counts as a gap, for times not on a grid.
+
+    Attributes:
+        measurement: the stations that the files name, side by side.
+
+    Raises:
+        UserError: a file that cannot be read, a station that is not known, or nothing that counts.
+    """
+
+    truth: System | None = None
+
+    def __init__(
+        self,
+        name: str,
+        path: str | list[str],
+        stations: str,
+        cut: Annotated[int, Within(2)] | None = None,
+        gap: Annotated[float, Within(1.5)] = 10.0,
+    ) -> None:
+        paths = [Path(p).expanduser() for p in ([path] if isinstance(path, str) else path)]
+        require_different(paths)
+        self.cut, self.gap, file = cut, gap, Path(stations).expanduser()
+        found = [(str(path), data) for path in paths for data in read_tracking(path)]
+        reference = FRAME._replace(epoch=min(data.epoch for _, data in found))
+        seen = [name for _, data in found for name in data.stations]
+        self.measurement = StationsOfFile(str(file), reference.earth_angle(), only=[*dict.fromkeys(seen)])
+        components = ("x", "y", "z", "px", "py", "pz")
+        self.space = Space(name, components, UNITS, frame=str(reference))
+        raw = [part for path in paths for part in bytes_of(path)] + [content_of(file)]
+        self._sha256 = hashlib.sha256(
+            b"".join(hashlib.sha256(part or b"").digest() for part in raw)
+        ).hexdigest()
+        tracks = [self._track(file, data, reference.epoch or 0) for file, data in found]
+        pieces = [piece for track in tracks for piece in cut_to(filled(track, gap), cut)]
+        parts = [trimmed(piece, partly=True) for piece in pieces]
+        values, times = stacked([part for part in parts if len(part.times)])[:2]
+        self._observations = Observations(continuous(values, periods(self.measurement)), times)
+        shown = self.measurement.locate(values, times)
+        self._trajectories = Trajectories(pad(shown, (0, 3), value=torch.nan), times)
+        log.info("%s: %s", name, self._described())
+
+    def recipe(self) -> dict[str, Any]:
+        """Return the hash of the files, and how they are cut."""
+        return {"files": self._sha256, "cut": self.cut, "gap": self.gap}
+
+    def steps(self) -> int:
+        """Return the number of steps of the shortest trajectory."""
+        return int(self._observations.times.isfinite().sum(1).min()) - 1
+
+    def read(self) -> Trajectories:
+        """Return the positions that simultaneous ranges and angles show, NaN elsewhere; momenta are NaN."""
+        return self._trajectories
+
+    def observations(self) -> Observations:
+        """Return the measurements of all stations side by side, (B, T, M), NaN where missing."""
+        return self._observations
+
+    def _track(self, file: str, data: TrackingData, epoch: int) -> Track:
+        """Return the measurements of a satellite at each of its times."""
+        times, row = np.unique(data.times, return_inverse=True)
+        values = np.full((len(times), len(self.measurement.names)), np.nan)
+        first, unused = 0, set[str]()
+        columns: dict[str, dict[int, int]] = {}
+        for name, station in self.measurement.stations.items():
+            if name in data.stations and station.event != data.event:
+                message = (
+                    f"stations: {name}.event: expected {data.event}, as {file}; received {station.event}. "
+                    "Say it in the file of the stations, or in a sidecar of the measurements"
+                )
+                raise UserError(message)
+            columns[name] = {k: first + c for c, k in enumerate(station.kept)}
+            first += len(station.kept)
+        for s, name in enumerate(data.stations):
+            for k, kind in enumerate(KINDS):
+                own = np.flatnonzero((data.station == s) & np.isfinite(data.values[:, k]))
+                if k not in columns[name]:
+                    unused |= {f"{name}.{kind}"} if len(own) else set()
+                    continue
+                if len(np.unique(row[own])) < len(own):
+                    message = f"{file}: expected {kind} of {name} once at each time; received one twice"
+                    raise UserError(message)
+                values[row[own], columns[name][k]] = data.values[own, k]
+        if unused:
+            log.warning("%s: not used, since its noise is not given: %s", file, ", ".join(sorted(unused)))
+        if np.isfinite(data.deviations).any():
+            log.warning("%s: its standard deviations are not used; those of the stations are", file)
+        after = (data.epoch - epoch) / SECOND
+        return Track(data.object, file, np.arange(1, len(times) + 1), times + after, values)
+
+    def _described(self) -> str:
+        seen = self._observations.values.isfinite()
+        lengths = sorted({int(n) for n in seen.any(-1).sum(1)})
+        times = f"{lengths[0]:,}" if lengths[0] == lengths[-1] else f"{lengths[0]:,} to {lengths[-1]:,}"
+        counts = ", ".join(f"{n} {int(seen[..., k].sum()):,}" for k, n in enumerate(self.measurement.names))
+        many = "trajectory" if len(seen) == 1 else "trajectories"
+        return f"{len(seen)} {many} of {times} times: {counts}"
