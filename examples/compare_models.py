@@ -7,13 +7,13 @@ import ahnn
 from ahnn.rollouts import rollout
 from ahnn.systems import Pendulum, exact_flow
 
-DT, STEPS = 0.1, 400
+DT, STEPS = 0.1, 300
 exact = exact_flow(Pendulum(name="pendulum", dt=DT, steps=10))  # 1 kg on 1 m
 generator = torch.Generator().manual_seed(0)
-begin = torch.tensor([2.0, 4.0]) * (2 * torch.rand(60, 2, generator=generator, dtype=torch.float64) - 1)
+begin = torch.tensor([2.0, 4.0]) * (2 * torch.rand(40, 2, generator=generator, dtype=torch.float64) - 1)
 data = ahnn.Trajectories(rollout(exact, begin, DT, 11), DT * torch.arange(11, dtype=torch.float64))
 now, later = data.states[:, :-1].flatten(0, 1), data.states[:, 1:].flatten(0, 1)
-unseen = torch.stack((torch.linspace(0.2, 1.5, 20), torch.zeros(20)), dim=-1).double()
+unseen = torch.stack((torch.linspace(0.2, 1.5, 10), torch.zeros(10)), dim=-1).double()
 truth = rollout(exact, unseen, DT, STEPS + 1)
 
 
@@ -22,7 +22,7 @@ def errors(build, seed):
     torch.manual_seed(seed)
     model = build(dof=1, hidden=24, data=data).double()
     optimizer = torch.optim.LBFGS(
-        model.parameters(), max_iter=150, tolerance_change=0, line_search_fn="strong_wolfe"
+        model.parameters(), max_iter=100, tolerance_change=0, line_search_fn="strong_wolfe"
     )
 
     def loss():

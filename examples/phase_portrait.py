@@ -9,8 +9,8 @@ from ahnn.systems import Pendulum, exact_flow
 
 torch.manual_seed(0)
 pendulum = Pendulum(name="pendulum", dt=0.05, steps=20)  # 1 kg on 1 m
-start = torch.tensor([3.14, 9.0]) * (2 * torch.rand(200, 2, dtype=torch.float64) - 1)
-states = rollout(exact_flow(pendulum), start, 0.05, 21)  # (200, 21, 2): 1 s each
+start = torch.tensor([3.14, 9.0]) * (2 * torch.rand(100, 2, dtype=torch.float64) - 1)
+states = rollout(exact_flow(pendulum), start, 0.05, 21)  # (100, 21, 2): 1 s each
 data = ahnn.Trajectories(states, 0.05 * torch.arange(21, dtype=torch.float64))
 
 model = ahnn.Hamiltonian(dof=1, hidden=24, inputs="angles", angular=[True], data=data).double()
