@@ -19,7 +19,7 @@ data = ahnn.Trajectories(states, DT * torch.arange(11, dtype=torch.float64))
 model = ahnn.Hamiltonian(dof=2, hidden=32, structure="mechanical", integrator="leapfrog", data=data).double()
 now, later = states[:, :-1].flatten(0, 1), states[:, 1:].flatten(0, 1)
 optimizer = torch.optim.LBFGS(
-    model.parameters(), max_iter=500, tolerance_change=0, line_search_fn="strong_wolfe"
+    model.parameters(), max_iter=800, tolerance_change=0, line_search_fn="strong_wolfe"
 )
 
 
@@ -45,7 +45,7 @@ def section(flow):
     return (a + (b - a) * (-a[:, :1] / (b - a)[:, :1]))[:, [1, 3]], path
 
 
-figure, panels = plt.subplots(1, 2, figsize=(8, 4.2), layout="constrained", sharex=True, sharey=True)
+figure, panels = plt.subplots(1, 2, figsize=(8, 4.6), layout="constrained", sharex=True, sharey=True)
 paths = {}
 for axes, (name, flow) in zip(panels, {"true": exact, "learned": model}.items(), strict=True):
     points, paths[name] = section(flow)
