@@ -61,7 +61,8 @@ left.plot(
 )
 left.add_patch(plt.Circle((0, 0), 6.378, color="0.8"))
 left.set(xlabel="x [1000 km]", ylabel="z [1000 km]", aspect="equal", title="Eight hours of sightings")
-left.legend(fontsize="small", loc="lower center", bbox_to_anchor=(0.5, -0.5), frameon=False)
+left.set(xlim=(-34, 34), ylim=(-22, 46))
+left.legend(fontsize="small", loc="lower center")
 for (name, error), colour in zip(errors.items(), ("#D55E00", "#0072B2"), strict=True):
     right.semilogy(hours, error, color=colour, label=name)
 right.plot(hours[1:], spread, "k--", lw=1, label="its standard deviation")
