@@ -14,7 +14,9 @@ from test_assimilate import ORBIT, RUN
 
 from ahnn.data.estimate_table import track_names
 from ahnn.data.files import Covariance, Ephemeris, Files, instant, read_oem, write_oem
+from ahnn.data.reference import Reference
 from ahnn.measurements import GroundStation
+from ahnn.tracking.earth_axes import earth_axes
 
 NOON = instant("2024-03-01T12:00:00", utc=True)
 MODEL = ["pretrained=molniya_mechanical", "plugins.ukf.process_noise=[1e-3,1e-5]"]
@@ -177,23 +179,46 @@ def test_a_start_of_positions_says_how_one_comes_by_a_state(capsys):
     assert "received x, y, z alone. The output of ahnn.assimilate" in capsys.readouterr().err
 
 
-def test_stations_say_where_the_earth_stood(capsys):
+def seen_from_kiruna(erfa, state, seconds):
+    """Range, azimuth and elevation of a state in EME2000, as erfa turns the Earth."""
+    tt = 2460371.0, (seconds + 69.184) / 86400
+    earth = np.matmul(erfa.c2t06a(*tt, 2460371.0, seconds / 86400, 0.0, 0.0), erfa.bp00(*tt)[0].T)
+    place = np.radians([20.96, 67.86])
+    line = earth @ state[:3] - erfa.gd2gc(1, *place, 0.0) / 1e3
+    sines, cosines = np.sin(place), np.cos(place)
+    east = line @ [-sines[0], cosines[0], 0.0]
+    up = line @ [cosines[1] * cosines[0], cosines[1] * sines[0], sines[1]]
+    north = line @ [-sines[1] * cosines[0], -sines[1] * sines[0], cosines[1]]
+    return [np.linalg.norm(line), np.arctan2(east, north), np.arctan2(up, np.hypot(east, north))]
+
+
+@pytest.mark.parametrize("days", [0, 1])
+def test_stations_turn_as_the_earth_does(days):
     erfa = pytest.importorskip("erfa", reason="the extra `orbit` is needed")
-    angle = float(erfa.era00(2460371.0, 0.0))  # noon
-    station = GroundStation(67.86, 20.96, earth_angle=angle, min_elevation=-90.0)
-    seen = [station(ORBIT[20 + k], 300.0 + 15.0 * k).tolist() for k in range(1, 11)]
-    lines = [",".join([dated(315 + 15 * k), *map(repr, row)]) for k, row in enumerate(seen)]
+    station = GroundStation(67.86, 20.96, earth_angle=earth_axes(Reference("J2000", "EARTH", "UTC", NOON)))
+    expected = seen_from_kiruna(erfa, ORBIT[20].numpy(), 86400.0 * days)
+    apart = (station(ORBIT[20], 86400.0 * days).numpy() - expected)[:3]
+    assert abs(apart[0]) < 0.02
+    assert np.abs(apart[1:]).max() < 0.02 / expected[0]
+
+
+def test_a_stream_turns_stations_with_the_earth(caplog):
+    erfa = pytest.importorskip("erfa", reason="the extra `orbit` is needed")
+    seen = [seen_from_kiruna(erfa, ORBIT[20 + k].numpy(), 300.0 + 15.0 * k) for k in range(1, 11)]
+    lines = [",".join([dated(315 + 15 * k), *map(str, row)]) for k, row in enumerate(seen)]
     Path("seen.csv").write_text("\n".join(["time,range,azimuth,elevation", *lines]) + "\n")
-    model = {"range_rate": "false", "latitude": 67.86, "longitude": 20.96}
-    known = ["measurement=ground_station", "measurement.sd=[0.05,1e-4,1e-4]", "measurements=seen.csv"]
+    model = {"range_rate": "false", "latitude": 67.86, "longitude": 20.96, "min_elevation": -90}
+    known = ["measurement=ground_station", "measurement.sd=[0.05,1e-4,1e-4]"]
     known += [f"measurement.model.{key}={value}" for key, value in model.items()]
-    command = [*MODEL, START, *known, FROM_NOON, "output=out.csv"]
-    assert call("ahnn.assimilate", *command) == 2
-    said = capsys.readouterr().err
-    assert "measurement.model.earth_angle: expected the Greenwich meridian's angle" in said
-    assert f"rotation angle is {angle:.6f}" in said
-    assert call("ahnn.assimilate", *command, f"measurement.model.earth_angle={angle}") == 0
-    assert good(rows())
+    noise = "{range: 0.05, azimuth: 0.0057, elevation: 0.0057}"
+    Path("stations.yaml").write_text(f"kiruna: {{latitude: 67.86, longitude: 20.96, noise: {noise}}}")
+    for k, way in enumerate((known, ["stations=stations.yaml"])):
+        command = [*MODEL, START, "measurements=seen.csv", *way, FROM_NOON, f"output={k}.csv"]
+        assert call("ahnn.assimilate", *command) == 0
+        assert all(float(row["nis"]) < 10 for row in rows(f"{k}.csv"))
+    command = [*MODEL, START, "measurements=seen.csv", *known, FROM_NOON, "output=out.csv"]
+    call("ahnn.assimilate", *command, "measurement.model.earth_angle=1.0")
+    assert "measurement.model.earth_angle: turns the Earth about the z axis of EME2000" in caplog.text
 
 
 NOTHING = {
@@ -247,6 +272,6 @@ def test_a_key_that_changed_beside_a_saved_state_is_named(key, capsys):
     assert assimilate(*command) == 0
     before = Path("out.csv").read_bytes()
     assert assimilate(*command, *CHANGES[key]) == 2
-    assert f"{key}: expected that of a.state; received another" in capsys.readouterr().err
+    assert f"{key}: expected the value stored in a.state; received another" in capsys.readouterr().err
     assert Path("out.csv").read_bytes() == before
     assert assimilate(*command) == 0

@@ -77,10 +77,6 @@ class StreamClock(NamedTuple):
         clock = unit(self.unit)
         return clock.size if clock.dimension == TIME else 1.0
 
-    def earth_angle(self) -> float:
-        """Return the Earth's rotation angle at time zero in rad."""
-        return Reference(clock=self.system, epoch=self.zero).earth_angle()
-
     def named(self, text: str) -> StreamClock:
         """Apply the time unit or time scale of a header to the clock; raises UserError."""
         if text == self.system or {text, self.system} <= TO_TT.keys():
