@@ -79,7 +79,21 @@ def test_a_start_holds_at_its_epoch(arguments, begins):
     assert good(rows())
 
 
+def test_the_time_of_a_start_is_a_number_or_a_date(caplog):
+    numbers = [f"start={ORBIT[20].tolist()}", "start_sd=[0.1,1e-4]", FROM_NOON]
+    assert assimilate(*numbers, DATED, f"time={dated(300)}") == 0
+    assert good(rows())
+    assert "Set time=" not in caplog.text
+    Path("out.csv").unlink()
+    lines = Path("fixes.csv").read_text().replace("\n3", "\n900003").replace("\n4", "\n900004")
+    Path("far.csv").write_text(lines)
+    assimilate(*numbers, "measurements=far.csv", "gap=1e7")
+    assert caplog.text.count("start: its time is taken as 0, and the first measurement is at 9") == 1
+
+
 MISTAKES = {
+    "a date of a start, and no epoch": ([*NUMBERS, PLAIN, f"time={dated(3)}"], "time: expected epoch= of"),
+    "no date": ([*NUMBERS, PLAIN, "time=noon"], "epoch= of time zero beside a date; received noon"),
     "numbers, and nobody says from when": ([START, PLAIN], "expected epochs, since the start has an epoch"),
     "two times": ([START, PLAIN, FROM_NOON, "time=3"], "time: expected none, since the start file"),
     "dates, and no epoch": (

@@ -15,6 +15,9 @@ from ahnn.errors import TrainingError
 
 log = logging.getLogger("ahnn")
 
+FAR = 100
+"""Steps of the model between an undated start and the first measurement that are worth a warning."""
+
 Watcher = Callable[[int, Reading, Estimate, Counter[str]], None]
 """Callback for every measurement line: line number, reading, estimate, and counts so far."""
 
@@ -30,11 +33,13 @@ class Session(StreamSession):
 
     Attributes:
         fitted: number of the last line of measurements that the start was fitted to, which are left out.
+        undated: whether nothing states the time of the start.
     """
 
     filter: Assimilation
     lines: Lines
     fitted: int = 0
+    undated: bool = False
 
     def run(self, watch: Watcher | None = None) -> None:
         """Assimilate all lines of the stream.
@@ -70,6 +75,7 @@ class Session(StreamSession):
             return
         try:
             reading = self.layout.reading(text)
+            self._warn_of_far(reading.time)
             estimate = self.filter.update(reading)
         except BadLine as error:
             self.counts["bad"] += 1
@@ -96,3 +102,12 @@ class Session(StreamSession):
                 self.nis, self.numbers = self.nis + nis, self.numbers + dof
         if watch is not None:
             watch(number, reading, estimate, self.counts)
+
+    def _warn_of_far(self, time: float) -> None:
+        """Warn of a first measurement far from a start without a stated time."""
+        if self.undated and abs(time - self.filter.window.time) > FAR * self.filter.process.max_step:
+            message = (
+                "start: its time is taken as %g, and the first measurement is at %g. Set time= of the start"
+            )
+            log.warning(message, self.filter.window.time, time)
+        self.undated = False

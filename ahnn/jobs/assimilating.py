@@ -52,6 +52,7 @@ def assimilate(stream: Stream) -> None:
         given = options.output, state, options.every or EVERY, stream.clock, stream.controls
         session = Session(filtering, lines, rows, *given)
         session.fitted = stream.fitted
+        session.undated = not (isinstance(options.start, str) or session.resumed) and options.time is None
         view = View(space) if options.watch else None
         gc.collect()
         gc.freeze()  # garbage collection of existing objects must not delay lines
