@@ -23,6 +23,8 @@ log = logging.getLogger("ahnn")
 
 TIME, SENSOR, STATION, SD = ("time", "t"), "sensor", "station", "sd_"
 """Column names of time and sensor, or station, and the prefix of standard deviation columns."""
+ELEVATION = "elevation"
+"""End of the names of elevations, in rad."""
 RESERVED = frozenset(',"\n\r')
 """Characters not allowed in an object name, which must be usable as a table cell."""
 
@@ -67,6 +69,7 @@ class Layout:
             )
             raise UserError(message)
         self.said: set[tuple[str, str]] = set()
+        self.levelled = False  # an elevation was within its limits
         self.names: list[str] | None = None
         self.scales: dict[str, float] = {}
         if "\r" in first.strip():
@@ -121,7 +124,19 @@ class Layout:
         sensor = self.sensors[name]
         self.say_unused(name, row)
         values = tuple([self._number(row, column) for column in sensor.columns])
+        self._require_elevations(sensor, values)
         return Reading(time, values, name, self._deviations(row, sensor, values), controls)
+
+    def _require_elevations(self, sensor: StreamSensor, values: tuple[float, ...]) -> None:
+        """Raise BadLine for an elevation beyond a right angle, UserError for the first one of the stream."""
+        for name, value in zip(sensor.columns, values, strict=True):
+            if name.endswith(ELEVATION) and abs(value) > math.pi / 2:
+                message = f"{name}: expected at most pi/2 rad; received {value:g}"
+                if self.levelled:
+                    raise BadLine(message)
+                message = f"measurements: {message}. Degrees? Name the column {name} [deg]"
+                raise UserError(message)
+            self.levelled |= name.endswith(ELEVATION) and not math.isnan(value)
 
     @property
     def asks(self) -> bool:

@@ -35,7 +35,7 @@ def assimilate(stream: Stream) -> None:
 
     Raises:
         UserError: a missing file, or one that does not match the saved state.
-        TrainingError: the filter has diverged.
+        TrainingError: the filter has diverged, or rejects most measurements.
     """
     options, space, filtering = stream.asked, stream.space, stream.filtering
     if isinstance(filtering, Catalogue):
@@ -72,6 +72,7 @@ def assimilate(stream: Stream) -> None:
     if followed is not None:
         log.info("%s", "\n".join(followed.lines(filtering.window.state.moments, filtering.window.time)))
     _pictures(stream)
+    session.require_followed()
 
 
 def told_to(watchers: Sequence[Watcher]) -> Watcher:
