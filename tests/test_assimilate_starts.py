@@ -166,6 +166,7 @@ def test_the_covariance_of_an_earlier_state_is_carried_to_the_last_one_by_the_mo
 def test_the_output_of_a_filter_is_a_start_of_all_commands():
     assert assimilate(START, DATED) == 0
     last, said = rows()[-1], Path("out.yaml").read_text()
+    assert last["epoch"] == "2024-03-01T12:07:30.000"
     assert "x: km" in said
     assert "frame: EME2000, EARTH, UTC, from 2024-03-01T12:05:00.000" in said
     step = ["duration=1min", "output=next.csv"]
@@ -186,6 +187,21 @@ def test_the_output_of_a_filter_is_a_start_of_all_commands():
     assert states[0, -1].tolist() == pytest.approx(
         [float(last[n]) for n in track_names(RUN.space)], rel=1e-15
     )
+
+
+def test_a_dated_stream_resumes_and_names_epochs(caplog):
+    whole = Path("dated.csv").read_text().splitlines(keepends=True)
+    Path("dated.csv").write_text("".join(whole[:6]))
+    assert assimilate(START, DATED, "state=a.state") == 0
+    Path("dated.csv").write_text("".join([*whole, whole[1]]))
+    assert assimilate(START, DATED, "state=a.state") == 0
+    assert [row["epoch"][14:19] for row in rows()] == [
+        f"{s // 60:02}:{s % 60:02}" for s in range(315, 465, 15)
+    ]
+    late = (
+        "line 12: 2024-03-01T12:05:15 (time 15 s) is later than the window allows, at 2024-03-01T12:07:30 ("
+    )
+    assert late.replace(" is", " of sensor position is") in caplog.text or late in caplog.text
 
 
 def test_a_start_of_positions_says_how_one_comes_by_a_state(capsys):
@@ -216,7 +232,7 @@ def test_stations_turn_as_the_earth_does(days):
     assert np.abs(apart[1:]).max() < 0.02 / expected[0]
 
 
-def test_a_stream_turns_stations_with_the_earth(caplog):
+def test_a_stream_turns_stations_with_the_earth(caplog, capsys):
     erfa = pytest.importorskip("erfa", reason="the extra `orbit` is needed")
     seen = [seen_from_kiruna(erfa, ORBIT[20 + k].numpy(), 300.0 + 15.0 * k) for k in range(1, 11)]
     lines = [",".join([dated(315 + 15 * k), *map(str, row)]) for k, row in enumerate(seen)]
@@ -231,8 +247,27 @@ def test_a_stream_turns_stations_with_the_earth(caplog):
         assert call("ahnn.assimilate", *command) == 0
         assert all(float(row["nis"]) < 10 for row in rows(f"{k}.csv"))
     command = [*MODEL, START, "measurements=seen.csv", *known, FROM_NOON, "output=out.csv"]
-    call("ahnn.assimilate", *command, "measurement.model.earth_angle=1.0")
+    assert call("ahnn.assimilate", *command, "measurement.model.earth_angle=1.0") == 3
     assert "measurement.model.earth_angle: turns the Earth about the z axis of EME2000" in caplog.text
+    assert "expected a filter that follows them; received 6 rejected of 10 lines" in capsys.readouterr().err
+    text = ["time,range,azimuth,elevation", *lines[:3], lines[3].rpartition(",")[0] + ",40.0", *lines[4:]]
+    Path("seen.csv").write_text("\n".join(text) + "\n")  # of which one line is wrong
+    command[-1] = "output=bad.csv"
+    assert call("ahnn.assimilate", *command) == 0
+    assert "line 5: elevation: expected at most pi/2 rad; received 40; skipped" in caplog.text
+    Path("seen.csv").write_text("\n".join([text[0], text[4]]) + "\n")
+    command[-1] = "output=degrees.csv"
+    assert call("ahnn.assimilate", *command) == 2
+    assert "received 40. Degrees? Name the column elevation [deg]" in capsys.readouterr().err
+    assert not Path("degrees.csv").exists()
+
+
+def test_rows_in_no_order_are_named(capsys):
+    head, *lines = Path("fixes.csv").read_text().splitlines()
+    Path("fixes.csv").write_text("\n".join([head, lines[8], lines[9], *lines[:8]]) + "\n")
+    assert assimilate(*NUMBERS, PLAIN) == 3
+    said = "received 8 late of 10 lines. Check units, order of columns and rows, stations and start, and sort"
+    assert said in capsys.readouterr().err
 
 
 NOTHING = {

@@ -71,6 +71,15 @@ class StreamClock(NamedTuple):
         """Return the epoch at a given time after another."""
         return (moment or 0) + round(time * self.second * SECOND)
 
+    def epoch(self, time: float) -> str:
+        """Return the epoch at a time, in ISO form; "" if time zero has none."""
+        return "" if self.zero is None else spelled(self.after(self.zero, time), utc=self.system == "UTC")
+
+    def said(self, time: float) -> str:
+        """Return a time for messages, after its epoch if there is one."""
+        plain = f"time {time:g}"
+        return plain if self.zero is None else f"{self.epoch(time)[:19]} ({plain} {self.unit})"
+
     @property
     def second(self) -> float:
         """Seconds of the unit; 1 without a known unit."""

@@ -48,6 +48,7 @@ def assimilate(stream: Stream) -> None:
         kind = options.format or ("json" if Path(options.output).suffix in (".json", ".jsonl") else "csv")
         beside = described(space, stream.reference)
         more = {"modes": len(filtering.modes), "lag": options.lag is not None, "scales": space.scales}
+        more["clock"] = stream.clock
         rows = Rows(track_names(space), filtering.sensors, kind, beside, **more)
         given = options.output, state, options.every or EVERY, stream.clock, stream.controls
         session = Session(filtering, lines, rows, *given)
