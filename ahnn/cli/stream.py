@@ -206,6 +206,7 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
     else:
         found = starts(asked.start, run.space, ours, sd=asked.start_sd, last=True)
         clock, time, reference = begin(found, ours, asked.time, unit)
+    reference = reference.centred(run.space.units.position)
     if asked.oem:
         require_orbit(run.space, reference)
     if asked.stations is None:
