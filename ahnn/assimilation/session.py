@@ -85,6 +85,7 @@ class Session(StreamSession):
             message = f"line {number}: {error}. Start over with another start, or more noise"
             raise TrainingError(message) from error
         self.counts[estimate.outcome] += 1
+        self.disordered += estimate.outcome == "late" and reading.time > self.filter.begun["time"]
         label = self._said(reading.time) + (f" of sensor {reading.sensor}" if reading.sensor else "")
         if estimate.innovation is None:
             word = WORDS[estimate.outcome].format(now=self._said(estimate.time))

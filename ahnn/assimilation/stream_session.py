@@ -132,6 +132,7 @@ class StreamSession:
         self.state, self.every = state, every
         self.counts: Counter[str] = Counter()
         self.nis, self.numbers = 0.0, 0
+        self.disordered = 0  # late lines that do not precede the start, of this command
         self.layout: Layout | None = None
         self.header, self.path = "", output
         self.beside = None if output == "-" or rows.said is None else Path(output)
@@ -211,7 +212,7 @@ class StreamSession:
         Raises:
             TrainingError: fewer were; the message names what to check.
         """
-        refused = {word: self.counts[word] for word in ("rejected", "late")}
+        refused = {"rejected": self.counts["rejected"], "late": self.disordered}
         usable = self.counts["taken"] + self.counts["reopened"] + sum(refused.values())
         if usable < LEAST or 2 * sum(refused.values()) <= usable:
             return
