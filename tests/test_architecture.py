@@ -89,7 +89,7 @@ MAY_IMPORT = {
     "untrained": GROUND | {"data", "dynamics"},
     "jobs": GROUND
     | {"assimilation", "data", "dynamics", "evaluation", "graphs", "models", "prediction", "pretrained"}
-    | {"estimation", "loading", "runs", "shooting", "tracking", "training", "uncertainty"},
+    | {"estimation", "loading", "runs", "shooting", "systems", "tracking", "training", "uncertainty"},
 }
 ENTRIES = {
     "train",

@@ -21,10 +21,8 @@ from ahnn.errors import UserError
 
 log = logging.getLogger("ahnn")
 
-TIME, SENSOR, STATION, SD = ("time", "t"), "sensor", "station", "sd_"
-"""Column names of time and sensor, or station, and the prefix of standard deviation columns."""
-ELEVATION = "elevation"
-"""End of the names of elevations, in rad."""
+TIME, SENSOR, STATION, SD, ELEVATION = ("time", "t"), "sensor", "station", "sd_", "elevation"
+"""Column names of time and sensor, or station; prefix of standard deviations; end of names of elevations."""
 RESERVED = frozenset(',"\n\r')
 """Characters not allowed in an object name, which must be usable as a table cell."""
 
@@ -130,13 +128,14 @@ class Layout:
     def _require_elevations(self, sensor: StreamSensor, values: tuple[float, ...]) -> None:
         """Raise BadLine for an elevation beyond a right angle, UserError for the first one of the stream."""
         for name, value in zip(sensor.columns, values, strict=True):
-            if name.endswith(ELEVATION) and abs(value) > math.pi / 2:
-                message = f"{name}: expected at most pi/2 rad; received {value:g}"
-                if self.levelled:
-                    raise BadLine(message)
-                message = f"measurements: {message}. Degrees? Name the column {name} [deg]"
-                raise UserError(message)
-            self.levelled |= name.endswith(ELEVATION) and not math.isnan(value)
+            if not name.endswith(ELEVATION):
+                continue
+            if abs(value) > math.pi / 2:
+                message = (
+                    f"{name}: expected at most pi/2 rad; received {value:g}. Degrees? Name it {name} [deg]"
+                )
+                raise BadLine(message) if self.levelled else UserError(message)
+            self.levelled |= not math.isnan(value)
 
     @property
     def asks(self) -> bool:

@@ -133,7 +133,7 @@ def plan(asked: PlanRequest) -> None:
 def stations_of(file: str, begin: Starts, run: Run) -> list[PlannedSensor]:
     """Return the stations of a file, on an Earth that turns from the epoch of time zero on."""
     if begin.reference.epoch is None:
-        log.warning("epoch: not given; the Greenwich meridian is taken to lie on the x axis at time zero")
+        log.warning("epoch: not given; the Greenwich meridian is assumed on the x axis at time zero")
     made, angle = [], earth_axes(begin.reference)
     for name, entry in read_stations(file).items():
         model = BiasedStation(entry, angle, run.space.mass)

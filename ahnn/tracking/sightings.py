@@ -128,7 +128,7 @@ class Sightings:
                     raise UserError(message)
                 values[row[own], columns[name][k]] = data.values[own, k]
         if unused:
-            log.warning("%s: not used, as no noise of it is stated: %s", file, ", ".join(sorted(unused)))
+            log.warning("%s: not used, since its noise is not given: %s", file, ", ".join(sorted(unused)))
         if np.isfinite(data.deviations).any():
             log.warning("%s: its standard deviations are not used; those of the stations are", file)
         after = (data.epoch - epoch) / SECOND

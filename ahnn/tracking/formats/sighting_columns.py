@@ -124,7 +124,7 @@ def factor_of(kind: Kind, unit: str | None, place: Place) -> float:
     try:
         return units.factor(unit, UNITS[kind])
     except ValueError:
-        place.refuse(f"{kind} in {UNITS[kind]}, or a unit that fits it", repr(unit))
+        place.refuse(f"{kind} in {UNITS[kind]}, or a compatible unit", repr(unit))
 
 
 def reading_of(cells: list[str], place: Place, roles: SightingColumns) -> TrackingReading:
