@@ -7,6 +7,7 @@ start=[X,...]       the state at time=0; or FILE: YAML or JSON (mean, sd or cova
                     fits the first fitted=20 measurements of FILE, and the filter continues after them
 start_sd=[..]       standard deviations of the start, one per component (q and p for one degree of freedom)
                     or [position,velocity]; default: the covariance in FILE
+time=NUMBER|DATE    time of a start that states none, by default 0; a date needs an epoch of time zero
 controls=FILE       for a model with controls: a table of times and controls, or constants; default: columns
                     of the measurements, held until the next line that has values
 epoch=2024-03-01T12:00:00       epoch of time zero; default: from the data of the run, or from the start

@@ -156,7 +156,7 @@ def test_shards_are_together_what_one_worker_does_bit_for_bit(caplog, capsys):
     assert [head, *sorted(parts, key=lambda row: int(row.partition(",")[0]))] == whole
     assert sorted(states) == sorted(Path("last.csv").read_text().splitlines()[1:])
     assert assimilate(*GIVEN, "shard=1/2", *made) == 2
-    assert "start: expected the 3 objects of part-2.state; received others" in capsys.readouterr().err
+    assert "start: expected the 3 objects of part-2.state; received different ones" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("place")

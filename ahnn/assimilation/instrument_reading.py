@@ -42,8 +42,3 @@ class Reading(NamedTuple):
     def is_empty(self) -> bool:
         """Whether nothing was measured."""
         return all(map(math.isnan, self.values))
-
-    @property
-    def label(self) -> str:
-        """Time and sensor, for messages."""
-        return f"time {self.time:g}" + (f" of sensor {self.sensor}" if self.sensor else "")

@@ -21,8 +21,8 @@ from ahnn.errors import UserError
 
 log = logging.getLogger("ahnn")
 
-TIME, SENSOR, STATION, SD = ("time", "t"), "sensor", "station", "sd_"
-"""Column names of time and sensor, or station, and the prefix of standard deviation columns."""
+TIME, SENSOR, STATION, SD, ELEVATION = ("time", "t"), "sensor", "station", "sd_", "elevation"
+"""Column names of time and sensor, or station; prefix of standard deviations; end of names of elevations."""
 RESERVED = frozenset(',"\n\r')
 """Characters not allowed in an object name, which must be usable as a table cell."""
 
@@ -67,6 +67,7 @@ class Layout:
             )
             raise UserError(message)
         self.said: set[tuple[str, str]] = set()
+        self.levelled = False  # an elevation was within its limits
         self.names: list[str] | None = None
         self.scales: dict[str, float] = {}
         if "\r" in first.strip():
@@ -121,7 +122,20 @@ class Layout:
         sensor = self.sensors[name]
         self.say_unused(name, row)
         values = tuple([self._number(row, column) for column in sensor.columns])
+        self._require_elevations(sensor, values)
         return Reading(time, values, name, self._deviations(row, sensor, values), controls)
+
+    def _require_elevations(self, sensor: StreamSensor, values: tuple[float, ...]) -> None:
+        """Raise BadLine for an elevation beyond a right angle, UserError for the first one of the stream."""
+        for name, value in zip(sensor.columns, values, strict=True):
+            if not name.endswith(ELEVATION):
+                continue
+            if abs(value) > math.pi / 2:
+                message = (
+                    f"{name}: expected at most pi/2 rad; received {value:g}. Degrees? Name it {name} [deg]"
+                )
+                raise BadLine(message) if self.levelled else UserError(message)
+            self.levelled |= not math.isnan(value)
 
     @property
     def asks(self) -> bool:

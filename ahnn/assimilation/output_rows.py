@@ -18,8 +18,9 @@ from torch import Tensor
 
 from ahnn.assimilation.fixed_lag import numbers_of
 from ahnn.assimilation.online import Estimate
+from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.assimilation.stream_sensor import StreamSensor
-from ahnn.data.estimate_table import COVARIANCE, DEVIATION, FIRST, INNOVATION
+from ahnn.data.estimate_table import COVARIANCE, DATED, DEVIATION, FIRST, INNOVATION
 from ahnn.data.files.sidecar import Sidecar
 from ahnn.errors import UserError
 from ahnn.locks import lock
@@ -40,6 +41,7 @@ class Rows:
         scales: (D,) divisors of the written components; None for no division.
         modes: of interacting models, whose probabilities are columns.
         lag: whether to write columns of smoothed estimates.
+        clock: interpretation of times; with an epoch of time zero there is a column of epochs.
     """
 
     def __init__(
@@ -52,8 +54,10 @@ class Rows:
         scales: Tensor | None = None,
         modes: int = 0,
         lag: bool = False,
+        clock: StreamClock | None = None,
     ) -> None:
         self.kind: Format = kind
+        self.clock = None if clock is None or clock.zero is None else clock
         self.smooths = len(components) if lag else 0
         self.scales = torch.ones(len(components), dtype=torch.float64) if scales is None else scales
         self.said = said
@@ -63,7 +67,7 @@ class Rows:
         self.places = {key: [place[name] for name in sensor.columns] for key, sensor in sensors.items()}
         self.width = len(place)
         self.names = [
-            *FIRST,
+            *(FIRST if self.clock is None else DATED),
             *components,
             *(f"{COVARIANCE}{components[i]}_{components[j]}" for i, j in self.lower),
             *(INNOVATION + name for name in measured),
@@ -88,7 +92,8 @@ class Rows:
         parts = zip(places, told.residual[0].tolist(), told.deviation[0].tolist(), strict=True)
         for place, residual, sd in parts:
             innovation[place], deviation[place] = residual, sd
-        values: list[Any] = [line, estimate.time, sensor, estimate.outcome, estimate.replayed]
+        epoch = () if self.clock is None else (self.clock.epoch(estimate.time),)
+        values: list[Any] = [line, estimate.time, *epoch, sensor, estimate.outcome, estimate.replayed]
         values += [float(told.nis), int(told.measured), *mean]
         values += [covariance[i][j] for i, j in self.lower]
         values += [*innovation, *deviation, *estimate.modes]
@@ -183,6 +188,10 @@ class Output:
         length = self.file.seek(0, os.SEEK_END)
         if length < self.size:
             return f"{length} bytes"
+        head = rows.header().encode()[: self.size]
+        self.file.seek(0)
+        if self.file.read(len(head)) != head:
+            return "other content"
         begin = self.file.seek(max(0, self.size - TAIL))
         self._tail, behind = self.file.read(self.size - begin), self.file.read().decode(errors="replace")
         if self.digest != tail or not rows.wrote(behind, line, begin=self.size == 0):

@@ -15,13 +15,16 @@ from ahnn.errors import TrainingError
 
 log = logging.getLogger("ahnn")
 
+FAR = 100
+"""Steps of the model between an undated start and the first measurement that are worth a warning."""
+
 Watcher = Callable[[int, Reading, Estimate, Counter[str]], None]
 """Callback for every measurement line: line number, reading, estimate, and counts so far."""
 
 WORDS = {
-    "late": "is later than the window allows, at time {now:g}: ignored",
+    "late": "is later than the window allows, at {now}: ignored",
     "repeated": "was already processed: ignored",
-    "ahead": "is further ahead than the largest gap allowed, from time {now:g}: ignored",
+    "ahead": "is further ahead than the largest gap allowed, from {now}: ignored",
 }
 
 
@@ -30,11 +33,13 @@ class Session(StreamSession):
 
     Attributes:
         fitted: number of the last line of measurements that the start was fitted to, which are left out.
+        undated: whether nothing states the time of the start.
     """
 
     filter: Assimilation
     lines: Lines
     fitted: int = 0
+    undated: bool = False
 
     def run(self, watch: Watcher | None = None) -> None:
         """Assimilate all lines of the stream.
@@ -70,6 +75,7 @@ class Session(StreamSession):
             return
         try:
             reading = self.layout.reading(text)
+            self._warn_of_far(reading.time)
             estimate = self.filter.update(reading)
         except BadLine as error:
             self.counts["bad"] += 1
@@ -79,20 +85,35 @@ class Session(StreamSession):
             message = f"line {number}: {error}. Start over with another start, or more noise"
             raise TrainingError(message) from error
         self.counts[estimate.outcome] += 1
+        self.disordered += estimate.outcome == "late" and reading.time > self.filter.begun["time"]
+        label = self._said(reading.time) + (f" of sensor {reading.sensor}" if reading.sensor else "")
         if estimate.innovation is None:
-            word = WORDS[estimate.outcome].format(now=estimate.time)
-            log.info("line %d: %s %s", number, reading.label, word)
+            word = WORDS[estimate.outcome].format(now=self._said(estimate.time))
+            log.info("line %d: %s %s", number, label, word)
         else:
             self.output.write(self.rows.row(number, reading.sensor, estimate))
             self.written = True
             nis, dof = float(estimate.innovation.nis), int(estimate.innovation.measured)
             if estimate.outcome == "rejected":
-                told = number, reading.label, nis, dof
+                told = number, label, nis, dof
                 log.info("line %d: %s rejected, NIS %.3g for %d values", *told)
             elif estimate.outcome == "reopened":
                 words = "reopened the gate after consecutive rejections; the covariance was enlarged"
-                log.info("line %d: %s %s", number, reading.label, words)
+                log.info("line %d: %s %s", number, label, words)
             elif dof:
                 self.nis, self.numbers = self.nis + nis, self.numbers + dof
         if watch is not None:
             watch(number, reading, estimate, self.counts)
+
+    def _said(self, time: float) -> str:
+        """Return a time for messages."""
+        return f"time {time:g}" if self.clock is None else self.clock.said(time)
+
+    def _warn_of_far(self, time: float) -> None:
+        """Warn of a first measurement far from a start without a stated time."""
+        if self.undated and abs(time - self.filter.window.time) > FAR * self.filter.process.max_step:
+            message = (
+                "start: its time is taken as %g, and the first measurement is at %g. Set time= of the start"
+            )
+            log.warning(message, self.filter.window.time, time)
+        self.undated = False

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ahnn.assimilation.cells import BadLine
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.data.files.epochs import spelled
 from ahnn.data.reference import Reference
@@ -78,18 +79,20 @@ def belief_of(
         raise UserError(message) from error
 
 
-def begin(found: Starts, ours: Reference, time: float | None, unit: str) -> Begin:
+def begin(found: Starts, ours: Reference, time: float | str | None, unit: str) -> Begin:
     """Determine the clock of a stream and the time of its start.
 
     Args:
         found: start of one state.
         ours: reference of the model, with the epoch of time zero if known.
-        time: time of the start from the user, or None.
+        time: time of the start from the user, a number or a date, or None.
         unit: unit of time.
 
     Raises:
-        UserError: contradictory times of one start.
+        UserError: contradictory times of one start, or an invalid one.
     """
+    if isinstance(time, str):
+        time = dated(time, StreamClock(unit, ours.epoch, ours.clock or "UTC"))
     own, held = found.reference, float(found.times[0])
     whole = ours.filled(own)
     clock = StreamClock(unit, None, whole.clock or "UTC")
@@ -108,3 +111,18 @@ def begin(found: Starts, ours: Reference, time: float | None, unit: str) -> Begi
         message = f"time: expected none, since the start file has its own, {said}; received {time:g}"
         raise UserError(message)
     return Begin(clock._replace(zero=whole.epoch), clock.between(whole.epoch, moment.epoch) + held, whole)
+
+
+def dated(text: str, clock: StreamClock) -> float:
+    """Return the time of a start that is given as a date.
+
+    Raises:
+        UserError: an invalid date, or no epoch of time zero.
+    """
+    if clock.zero is None:
+        message = f"time: expected epoch= of time zero beside a date; received {text} without it. Add epoch="
+        raise UserError(message)
+    try:
+        return clock.time(text)
+    except BadLine as error:
+        raise UserError(str(error)) from error

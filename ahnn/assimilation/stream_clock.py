@@ -71,15 +71,20 @@ class StreamClock(NamedTuple):
         """Return the epoch at a given time after another."""
         return (moment or 0) + round(time * self.second * SECOND)
 
+    def epoch(self, time: float) -> str:
+        """Return the epoch at a time, in ISO form; "" if time zero has none."""
+        return "" if self.zero is None else spelled(self.after(self.zero, time), utc=self.system == "UTC")
+
+    def said(self, time: float) -> str:
+        """Return a time for messages, after its epoch if there is one."""
+        plain = f"time {time:g}"
+        return plain if self.zero is None else f"{self.epoch(time)[:19]} ({plain} {self.unit})"
+
     @property
     def second(self) -> float:
         """Seconds of the unit; 1 without a known unit."""
         clock = unit(self.unit)
         return clock.size if clock.dimension == TIME else 1.0
-
-    def earth_angle(self) -> float:
-        """Return the Earth's rotation angle at time zero in rad."""
-        return Reference(clock=self.system, epoch=self.zero).earth_angle()
 
     def named(self, text: str) -> StreamClock:
         """Apply the time unit or time scale of a header to the clock; raises UserError."""

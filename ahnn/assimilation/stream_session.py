@@ -31,6 +31,8 @@ log = logging.getLogger("ahnn")
 
 FEW = 30
 """Number of measured values below which consistency is not judged."""
+LEAST = 10
+"""Number of lines below which the fraction of accepted ones is not judged."""
 MANY = 0.05
 """Fraction of refused measurements that outliers alone seldom are."""
 REMEDIES = {
@@ -130,6 +132,7 @@ class StreamSession:
         self.state, self.every = state, every
         self.counts: Counter[str] = Counter()
         self.nis, self.numbers = 0.0, 0
+        self.disordered = 0  # late lines that do not precede the start, of this command
         self.layout: Layout | None = None
         self.header, self.path = "", output
         self.beside = None if output == "-" or rows.said is None else Path(output)
@@ -203,6 +206,24 @@ class StreamSession:
         message = f"measurements: expected at least one usable line; received {received}. {REMEDIES[most]}"
         raise TrainingError(message)
 
+    def require_followed(self) -> None:
+        """Check that at least half of the usable lines were accepted.
+
+        Raises:
+            TrainingError: fewer were; the message names what to check.
+        """
+        refused = {"rejected": self.counts["rejected"], "late": self.disordered}
+        usable = self.counts["taken"] + self.counts["reopened"] + sum(refused.values())
+        if usable < LEAST or 2 * sum(refused.values()) <= usable:
+            return
+        received = " and ".join(f"{count:,} {word}" for word, count in refused.items() if count)
+        order = ", and sort the rows by time" if refused["late"] else ""
+        message = (
+            f"measurements: expected a filter that follows them; received {received} of {usable:,} lines. "
+            f"Check units, order of columns and rows, stations and start{order}"
+        )
+        raise TrainingError(message)
+
     def _output(self, known: Notes | None) -> Any:
         """Open the output, as recorded in a state, or a new one for None."""
         if known is None:
@@ -263,6 +284,7 @@ class StreamSession:
         self.header, self.nis, self.numbers = known.header, known.nis, known.numbers
         if self.header:
             self.layout = self._layout(self.header)
+            self.layout.levelled = True
         self.lines.resume(known.lines, known.place, known.digest)
         self._count()
         log.info("resuming after line %d", known.lines)

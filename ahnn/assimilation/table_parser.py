@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ahnn.assimilation.cells import BadLine, is_missing
 from ahnn.assimilation.instrument_reading import Reading
-from ahnn.assimilation.line_parser import RESERVED, SD, SENSOR, TIME, Layout
+from ahnn.assimilation.line_parser import ELEVATION, RESERVED, SD, SENSOR, TIME, Layout
 from ahnn.assimilation.reading_table import Array, Places, ReadingTable
 from ahnn.data.files.table import is_number
 
@@ -99,6 +99,8 @@ class TableParser:
             for k, name in enumerate(self.columns):
                 if (key := prefix + name) in columns:
                     whole[:, k] = self._numbers(columns[key], plain, layout.scales.get(key, 1.0))
+        steep = [k for k, name in enumerate(self.columns) if name.endswith(ELEVATION)]
+        plain &= ~(np.abs(values[:, steep]) > math.pi / 2).any(1)
         if len(self.sensors) > 1:
             foreign = ~self.seen[sensors]
             plain &= ~(foreign & ~(np.isnan(values) & np.isnan(deviations))).any(1)

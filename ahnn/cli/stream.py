@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -25,7 +26,7 @@ from ahnn.cli.reevaluation import GROUPS, KEYS, NODES, OWN, Request, run_config
 from ahnn.cli.stream_gate import AskedGate, with_gate
 from ahnn.cli.unused_keys import refuse, unread_online
 from ahnn.data import SplitData
-from ahnn.data.files.epochs import spelled
+from ahnn.data.files.frame_names import known
 from ahnn.data.reference import Reference
 from ahnn.data.starts import Starts, of_one_state, starts
 from ahnn.errors import UserError
@@ -39,7 +40,10 @@ from ahnn.measurements import reading
 from ahnn.measurements.station_file import BiasedStation, read_stations
 from ahnn.runs import Run
 from ahnn.systems import System
+from ahnn.tracking.earth_axes import earth_axes
 from ahnn.types import Space
+
+log = logging.getLogger("ahnn")
 
 BIAS = re.compile(r"^(?=sensors\.[^.=]+\.bias_(sd|memory)=)")
 """Keys of a sensor that options of the group measurement do not set."""
@@ -148,13 +152,13 @@ def build_sensors(
     return made
 
 
-def stations_of_file(file: str, space: Space, clock: StreamClock) -> dict[str, StreamSensor]:
+def stations_of_file(file: str, space: Space, reference: Reference) -> dict[str, StreamSensor]:
     """Return the stations of a file as sensors on the rotating Earth, from the epoch of time zero on.
 
     Raises:
         UserError: no such file, or a station that measures nothing.
     """
-    angle, found = 0.0 if clock.zero is None else clock.earth_angle(), {}
+    angle, found = earth_axes(reference), {}
     for name, entry in read_stations(file).items():
         model = BiasedStation(entry, angle, space.mass)
         sd = model.bias_sd if any(model.bias_sd) else None
@@ -202,14 +206,14 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
     else:
         found = starts(asked.start, run.space, ours, sd=asked.start_sd, last=True)
         clock, time, reference = begin(found, ours, asked.time, unit)
+    reference = reference.centred(run.space.units.position)
     if asked.oem:
         require_orbit(run.space, reference)
     if asked.stations is None:
-        require_angles(nodes or {"measurement": cfg.measurement}, clock)
-    if asked.stations is None:
+        turn_stations(nodes or {"measurement": cfg.measurement}, reference)
         sensors = build_sensors(nodes, cfg, run, lambda: source().truth)
     else:
-        sensors = stations_of_file(asked.stations, run.space, clock)
+        sensors = stations_of_file(asked.stations, run.space, reference)
     line = 0
     if fit:
         found, line = fitted_start(run, sensors, asked.measurements, clock, asked.fitted)
@@ -258,25 +262,21 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
     return Stream(asked, run.space, filtering, clock, reference, name, control_names(run), fitted=line)
 
 
-def require_angles(nodes: Any, clock: StreamClock) -> None:
-    """Reject ground stations without the Earth's rotation angle at a known epoch of time zero.
-
-    Raises:
-        UserError: a missing angle; the message names the key and the value for that epoch.
-    """
-    if clock.zero is None:
+def turn_stations(nodes: Any, reference: Reference) -> None:
+    """Set `earth_angle` of ground stations that state none, where time zero has an epoch."""
+    if reference.epoch is None:
         return
     for name, node in nodes.items():
-        who = "measurement" if name == "measurement" else f"sensors.{name}"
-        for key, model in models_of(node.get("model"), f"{who}.model"):
-            station = str(model.get("_target_", "")).endswith(".GroundStation")
-            if station and model.get("earth_angle") is None:
-                epoch = spelled(clock.zero, utc=clock.system == "UTC")
-                message = (
-                    f"{key}.earth_angle: expected the Greenwich meridian's angle from the x axis at {epoch}, "
-                    f"time zero; received none. The Earth's rotation angle is {clock.earth_angle():.6f} then"
+        for key, found in models_of(node.get("model"), f"{name}.model"):
+            if not str(found.get("_target_", "")).endswith((".GroundStation", ".StationsOfFile")):
+                continue
+            if found.get("earth_angle") is None:
+                found["earth_angle"] = earth_axes(reference)
+            elif known(reference.frame) and not isinstance(found.earth_angle, ListConfig):
+                said = (
+                    "%s.earth_angle: turns the Earth about the z axis of %s, without precession and nutation"
                 )
-                raise UserError(message)
+                log.warning(said + ". Leave it out", key, reference.frame)
 
 
 def models_of(node: Any, key: str) -> Iterator[tuple[str, Any]]:

@@ -21,6 +21,8 @@ from ahnn.types import Space
 
 COVARIANCE, INNOVATION, DEVIATION = "cov_", "innovation_", "sd_"
 FIRST = ("line", "time", "sensor", "outcome", "replayed", "nis", "dof")
+DATED = (*FIRST[:2], "epoch", *FIRST[2:])
+"""First columns where time zero has an epoch."""
 
 
 class Last(NamedTuple):
@@ -38,7 +40,7 @@ def is_track(path: Path) -> bool:
         return False
     with path.open("rb") as file:
         first = file.read(200).decode("utf-8", errors="replace")
-    return first.startswith((",".join(FIRST[:4]), f'{{"{FIRST[0]}": '))
+    return first.startswith((",".join(FIRST[:4]), ",".join(DATED[:5]), f'{{"{FIRST[0]}": '))
 
 
 def rows_of(path: Path) -> Iterator[dict[str, Any]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import re
 from typing import NamedTuple
@@ -11,9 +12,13 @@ from ahnn.data.files.frame_names import INERTIAL, ROTATING, canonical, known
 from ahnn.data.files.frames import TO_TT
 from ahnn.errors import UserError
 
+log = logging.getLogger("ahnn")
+
 SINCE = re.compile(r"from (?P<epoch>\S+)( (?P<clock>\S+))?")
 BODY = "EARTH"
 """Default centre of a model without one."""
+EARTHLY = ("EME2000", "GCRF", "TEME", "CIRS")
+"""Frames whose centre is the Earth unless another one is stated."""
 
 
 class Reference(NamedTuple):
@@ -102,6 +107,13 @@ class Reference(NamedTuple):
         except ValueError as error:
             message = f"epoch: expected {error}; received {text!r}"
             raise UserError(message) from error
+
+    def centred(self, length: str) -> Reference:
+        """Name the Earth as the centre of its frames, of positions in km or m, where none is stated."""
+        if self.center or self.frame not in EARTHLY or length not in ("km", "m"):
+            return self
+        log.info("center: none stated; EARTH is taken, the centre of %s", self.frame)
+        return self._replace(center=BODY)
 
     def turn(self, ours: Reference, who: str) -> str | None:
         """Return the frame to which data must be transformed for a model; None for no transformation.

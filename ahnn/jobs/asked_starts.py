@@ -28,4 +28,5 @@ def asked_starts(
     if epoch is not None and found.reference.epoch is not None:
         message = f"epoch: expected none, since the start file has its own; received {epoch}"
         raise UserError(message)
-    return referred(found, ours)
+    found = referred(found, ours)
+    return found._replace(reference=found.reference.centred(space.units.position))

@@ -35,7 +35,7 @@ def assimilate(stream: Stream) -> None:
 
     Raises:
         UserError: a missing file, or one that does not match the saved state.
-        TrainingError: the filter has diverged.
+        TrainingError: the filter has diverged, or rejects most measurements.
     """
     options, space, filtering = stream.asked, stream.space, stream.filtering
     if isinstance(filtering, Catalogue):
@@ -48,10 +48,12 @@ def assimilate(stream: Stream) -> None:
         kind = options.format or ("json" if Path(options.output).suffix in (".json", ".jsonl") else "csv")
         beside = described(space, stream.reference)
         more = {"modes": len(filtering.modes), "lag": options.lag is not None, "scales": space.scales}
+        more["clock"] = stream.clock
         rows = Rows(track_names(space), filtering.sensors, kind, beside, **more)
         given = options.output, state, options.every or EVERY, stream.clock, stream.controls
         session = Session(filtering, lines, rows, *given)
         session.fitted = stream.fitted
+        session.undated = not (isinstance(options.start, str) or session.resumed) and options.time is None
         view = View(space) if options.watch else None
         gc.collect()
         gc.freeze()  # garbage collection of existing objects must not delay lines
@@ -71,6 +73,7 @@ def assimilate(stream: Stream) -> None:
     if followed is not None:
         log.info("%s", "\n".join(followed.lines(filtering.window.state.moments, filtering.window.time)))
     _pictures(stream)
+    session.require_followed()
 
 
 def told_to(watchers: Sequence[Watcher]) -> Watcher:

@@ -34,7 +34,7 @@ def assimilate_objects(stream: Stream, catalogue: Catalogue) -> None:
 
     Raises:
         UserError: a missing file, or one that does not match the saved state.
-        TrainingError: no line was accepted.
+        TrainingError: no line was accepted, or most were rejected.
     """
     options, space = stream.asked, stream.space
     state, objects = None if options.state is None else Path(options.state), options.objects or ""
@@ -61,6 +61,7 @@ def assimilate_objects(stream: Stream, catalogue: Catalogue) -> None:
         assert last.covariances is not None
         found = Prediction(last.times.new_zeros(1), last.states[:, None], last.covariances[:, None])
         output.write(Path(options.states), found, last, space)
+    session.require_followed()
 
 
 def _last(stream: Stream, catalogue: Catalogue) -> Starts:

@@ -38,7 +38,7 @@ class AssimilationRequest:
     states: str | None = None
     start: str | list[float] | None = None
     start_sd: list[Positive] | None = None
-    time: Finite | None = None
+    time: Finite | str | None = None
     sensors: dict[str, Any]
     stations: str | None = None
     window: Annotated[float, Within(0)]

@@ -14,7 +14,6 @@ from torch.func import jacrev, vmap
 from torch.nn.functional import pad
 
 from ahnn.arguments import Count, Positive
-from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.data.files.epochs import spelled
 from ahnn.data.starts import Starts
 from ahnn.errors import UserError
@@ -29,6 +28,7 @@ from ahnn.prediction import durations
 from ahnn.prediction.measurement_plan import evenly_spaced, plan_measurements, variance_with
 from ahnn.prediction.propagation import prediction_factors
 from ahnn.runs import Run
+from ahnn.tracking.earth_axes import earth_axes
 
 log = logging.getLogger("ahnn")
 
@@ -132,12 +132,9 @@ def plan(asked: PlanRequest) -> None:
 
 def stations_of(file: str, begin: Starts, run: Run) -> list[PlannedSensor]:
     """Return the stations of a file, on an Earth that turns from the epoch of time zero on."""
-    reference = begin.reference
-    clock = StreamClock(run.space.units.time, reference.epoch, reference.clock or "UTC")
-    angle = 0.0 if reference.epoch is None else clock.earth_angle()
-    if reference.epoch is None:
+    if begin.reference.epoch is None:
         log.warning("epoch: not given; the Greenwich meridian is assumed on the x axis at time zero")
-    made = []
+    made, angle = [], earth_axes(begin.reference)
     for name, entry in read_stations(file).items():
         model = BiasedStation(entry, angle, run.space.mass)
         sd, bias = (torch.tensor(part, dtype=torch.float64) for part in (model.deviations, model.bias_sd))

@@ -49,7 +49,8 @@ class GroundStation(Differing):
         longitude: degrees, positive east.
         height: above the ellipsoid, km.
         range_rate: whether to measure the range-rate.
-        earth_angle: angle of the Greenwich meridian from the inertial x axis at t = 0, rad; None is 0.
+        earth_angle: angle of the Greenwich meridian from the inertial x axis at t = 0, rad; None is 0. Or the
+            (3, 3) matrix from the inertial axes to the Earth's at t = 0, which turn about their own z axis.
         rotation_rate: rotation rate of the Earth, rad/s.
         radius: equatorial radius, km.
         flattening: flattening of the ellipsoid; 0 for a sphere.
@@ -69,7 +70,7 @@ class GroundStation(Differing):
         height: Finite = 0.0,
         *,
         range_rate: bool = False,
-        earth_angle: Finite | None = None,
+        earth_angle: Finite | list[list[float]] | None = None,
         rotation_rate: Finite = EARTH_RATE,
         radius: Positive = EARTH_RADIUS,
         flattening: Annotated[float, Within(0, below=1)] = EARTH_FLATTENING,
@@ -84,7 +85,8 @@ class GroundStation(Differing):
         self.units = ("km", "rad", "rad", *(("km/s",) if range_rate else ()))
         self.latitude = math.radians(latitude)
         self.longitude = math.radians(longitude)
-        self.earth_angle = earth_angle or 0.0
+        self.axes = torch.tensor(earth_angle, dtype=torch.float64) if isinstance(earth_angle, list) else None
+        self.earth_angle = 0.0 if earth_angle is None or isinstance(earth_angle, list) else earth_angle
         self.rotation_rate = rotation_rate
         sine = math.sin(self.latitude)
         squared_eccentricity = flattening * (2.0 - flattening)
@@ -141,4 +143,8 @@ class GroundStation(Differing):
         cos_lat, sin_lat = math.cos(self.latitude), math.sin(self.latitude)
         north, up = cos_lat * pole - sin_lat * level, cos_lat * level + sin_lat * pole
         site = self.equatorial * level + self.polar * pole
-        return site, torch.stack((east, north, up), -1), self.rotation_rate * self.equatorial * east
+        axes, drift = torch.stack((east, north, up), -1), self.rotation_rate * self.equatorial * east
+        if self.axes is None:
+            return site, axes, drift
+        earth = self.axes.to(like)
+        return site @ earth, earth.mT @ axes, drift @ earth

@@ -96,7 +96,7 @@ class BiasedStation(Differing):
 
     Args:
         entry: of the file.
-        earth_angle: of the Greenwich meridian from the inertial x axis at t = 0, rad.
+        earth_angle: as of `GroundStation`.
         mass: of the satellite in kg.
         who: prefix of messages.
 
@@ -105,7 +105,11 @@ class BiasedStation(Differing):
     """
 
     def __init__(
-        self, entry: StationEntry, earth_angle: float = 0.0, mass: float = 1.0, who: str = ""
+        self,
+        entry: StationEntry,
+        earth_angle: float | list[list[float]] | None = None,
+        mass: float = 1.0,
+        who: str = "",
     ) -> None:
         kept = [k for k, name in enumerate(SEEN) if name in entry.noise]
         if not kept:
@@ -114,9 +118,15 @@ class BiasedStation(Differing):
             )
             raise UserError(message)
         place = entry.latitude, entry.longitude, entry.height / 1e3
-        lowest = {"min_elevation": entry.min_elevation, "earth_angle": earth_angle}
         self.event: Event = entry.event or "bounce"
-        self.station = GroundStation(*place, range_rate=True, mass=mass, event=self.event, **lowest)
+        self.station = GroundStation(
+            *place,
+            range_rate=True,
+            earth_angle=earth_angle,
+            mass=mass,
+            min_elevation=entry.min_elevation,
+            event=self.event,
+        )
         self.kept, self.mass = kept, mass
         self.names = tuple(SEEN[k] for k in kept)
         self.units = tuple(self.station.units[k] for k in kept)
@@ -144,7 +154,7 @@ class StationsOfFile(Several):
 
     Args:
         file: path of the stations, see `ahnn.measurements.station_file`.
-        earth_angle: of the Greenwich meridian from the inertial x axis at t = 0, rad; None is 0.
+        earth_angle: as of `GroundStation`.
         mass: of the satellite in kg.
         only: names of those that count; None for all.
 
@@ -160,13 +170,13 @@ class StationsOfFile(Several):
     def __init__(
         self,
         file: str,
-        earth_angle: float | None = None,
+        earth_angle: float | list[list[float]] | None = None,
         mass: float = 1.0,
         only: Sequence[str] | None = None,
     ) -> None:
         known = read_stations(file)
         self.stations = {
-            name: BiasedStation(known[name], earth_angle or 0.0, mass, f"{file}: {name}.")
+            name: BiasedStation(known[name], earth_angle, mass, f"{file}: {name}.")
             for name in known
             if only is None or name in only
         }

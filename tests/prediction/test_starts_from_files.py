@@ -170,6 +170,16 @@ def test_an_empty_file_is_no_start(name, capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
+def test_frames_of_the_earth_have_it_as_centre(caplog):
+    known = [f"start={STATE.tolist()}", "epoch=2024-03-01T12:00:00", *SHORT]
+    assert call("ahnn.predict", MOLNIYA, *known, "frame=EME2000", "output=out.oem") == 0
+    assert read_oem("out.oem")[0].center == "EARTH"
+    assert caplog.text.count("center: none stated; EARTH is taken, the centre of EME2000") == 1
+    for other in (Reference("ICRF"), Reference("EME2000", "SUN")):
+        assert other.centred("km") == other
+    assert Reference("GCRF").centred("au").center == ""
+
+
 def test_references_say_what_they_are_of_and_clocks_are_turned():
     text = "EME2000, EARTH, UTC, from 2024-03-01T12:00:00.000"
     noon = Reference.of(text)

@@ -109,7 +109,7 @@ def outliers(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
     far = alone & highest & (off > FAR * doubt) & (off > LEAST * size)
     for k, c in zip(*np.nonzero(far), strict=True):
         what = f"an outlier: {off[k, c]:.2g} from the curve through its neighbours"
-        remedy = "Correct it, or leave the cell empty"
+        remedy = "Correct it, leave the cell empty, or train with loss.robust=student"
         yield Finding("warning", track.file, int(track.rows[at[k]]), names[c], what, remedy)
 
 

@@ -77,7 +77,8 @@ def ordered(track: Track, column: str, note: Note = refuse) -> Track:
         before, here, known = late[k - 1], track.times[k], track.rows[last[k]]
         row = place._replace(row=int(track.rows[k]))
         if before == here:
-            remedy = f"Give each trajectory {APART}"
+            equal = np.array_equal(track.values[k], track.values[last[k]], equal_nan=True)
+            remedy = "Remove the repeated row" if equal else f"Give each trajectory {APART}"
             note(Fault(row, f"each time{whose} once", f"{here} again, as in row {known}", remedy))
         else:
             note(

@@ -61,8 +61,9 @@ def test_the_noise_of_a_dense_orbit_is_still_found(tmp_path):
 def test_an_outlier_of_a_kilometre_is_named_and_nothing_beside_it(tmp_path, off, row):
     t, states = ellipse(90, 100)
     states[row, 1] += off
-    found = [(one.row, one.column) for one in checked(tmp_path, t, states) if "outlier" in one.what]
-    assert found == [(row + 2, "y")]
+    found = [one for one in checked(tmp_path, t, states) if "outlier" in one.what]
+    assert [(one.row, one.column) for one in found] == [(row + 2, "y")]
+    assert "loss.robust=student" in found[0].remedy
 
 
 def test_maneuvers_and_jumps_are_no_outliers(tmp_path):

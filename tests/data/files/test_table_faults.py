@@ -26,7 +26,11 @@ FAULTS = {
     "time missing": (GOOD.replace("a,1,2,3", "a,,2,3"), "row 3, column t: expected a time; received none"),
     "duplicate": (
         GOOD.replace("b,1,2,3", "b,0,2,3"),
-        "row 5, column t: expected each time of b once; received 0.0 again, as in row 4",
+        "row 5, column t: expected each time of b once; received 0.0 again, as in row 4. Give each",
+    ),
+    "repeated row": (
+        GOOD.replace("b,1,2,3", "b,0,1,2"),
+        "row 5, column t: expected each time of b once; received 0.0 again, as in row 4. Remove the repeated",
     ),
     "disorder": (
         GOOD.replace("a,1,2,3", "a,-1,2,3"),
