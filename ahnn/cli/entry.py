@@ -18,6 +18,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from ahnn.cli import commandline
+from ahnn.cli.compose import with_recorded
 from ahnn.cli.early_stops import arrived
 from ahnn.cli.guard import guard, leave
 from ahnn.cli.help import show_completion, show_help
@@ -30,7 +31,7 @@ def run_hydra(task: Callable[[DictConfig], Any], config_name: str = "train") -> 
     # Hydra does not accept null for a group. For a group that is empty by default it is equivalent to no
     # override.
     given = [argument for argument in sys.argv if argument not in ("experiment=null", "sweep=null")]
-    sys.argv = [commandline.worded(argument) for argument in given]
+    sys.argv = with_recorded([commandline.worded(argument) for argument in given])
     leave(guard(lambda: start(task, config_name)))
 
 
