@@ -23,7 +23,7 @@ from ahnn.cli.parts import (
     is_multirun,
     report_options,
 )
-from ahnn.cli.unused_keys import require_read
+from ahnn.cli.unused_keys import asked_for, require_read
 from ahnn.data import Source
 from ahnn.data.datamodule import WindowDataModule
 from ahnn.errors import UserError
@@ -39,6 +39,8 @@ DECISIVE = ("max_epochs", "gradient_clip_val", "gradient_clip_algorithm", "accum
 """Trainer settings that affect the weights."""
 CHOOSING = ("callbacks.best.monitor", "callbacks.rollout.count", "callbacks.rollout.every")
 """Settings that select the best weights."""
+SMOKE = "budget=smoke only checks the installation; the default budget trains the model"
+"""Finding below the table of such a run."""
 
 
 def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] | None = None) -> Prepared:
@@ -63,6 +65,7 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
     trainer = build_trainer(made, folder)
     data.feed(trainer)
     checkpoint = None if cfg.ckpt is None else Path(cfg.ckpt)
+    caveat = SMOKE if "budget=smoke" in asked_for(asked) else ""
     if cfg.ckpt in ("last", "best"):
         checkpoint = folder / "checkpoints" / f"{cfg.ckpt}.ckpt"
     prepared = Prepared(
@@ -77,7 +80,7 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
         weights=cfg.weights,
         recorded=cfg.cuda_graphs,
         robust=cfg.loss.get("robust", "none"),
-        assessment=Assessment(plugins, cfg.evaluation.seed, options, searched(values)),
+        assessment=Assessment(plugins, cfg.evaluation.seed, options, searched(values), caveat),
     )
     check_together(prepared)
     require_read(cfg, prepared, asked)
