@@ -107,6 +107,7 @@ MISTAKES = {
     "model.window=7": "unknown key 'model.window'; did you mean 'window'?",
     "data.window=3": "unknown key 'data.window'; did you mean 'window'?",
     "loss.order=2000 loss.derivative=1": "loss.order: expected windows of 1 to 60 steps",
+    "trainer.accelerator=gpu": "trainer.accelerator: expected a GPU; received none. Use trainer.accel",
     "loss.derivative=1 system.steps=8": "loss.order: expected windows of 1 to 8 steps",
 }
 
@@ -127,6 +128,14 @@ def test_a_mistake_is_one_message_and_leaves_nothing(mistake, tmp_path, capfd, m
     assert "pkg://" not in err
     assert list(tmp_path.iterdir()) == []
     assert not GlobalHydra.instance().is_initialized()
+
+
+@pytest.mark.parametrize("run", ["/proc/x", "plain/x"])
+def test_a_run_folder_that_cannot_be_created_is_named(run, tmp_path, capfd, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "plain").touch()
+    assert call("ahnn.train", "system=pendulum", "budget=smoke", f"run={run}") == 2
+    assert capfd.readouterr().err.startswith(f"ahnn: run: cannot create the folder {run}: N")
 
 
 @pytest.mark.parametrize("named", [[], ["run=a/b/c"], ["run=runs/mine"]])

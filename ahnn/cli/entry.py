@@ -22,6 +22,7 @@ from ahnn.cli.compose import with_recorded
 from ahnn.cli.early_stops import arrived
 from ahnn.cli.guard import guard, leave
 from ahnn.cli.help import show_completion, show_help
+from ahnn.errors import UserError
 from ahnn.paths import conf_dir
 
 
@@ -64,8 +65,20 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
             leave(code)  # bypasses Hydra, which would report an error
         return None
 
-    with contextlib.nullcontext() if first is None else known_mode(first.hydra.mode):
+    with folder_of(own), contextlib.nullcontext() if first is None else known_mode(first.hydra.mode):
         return hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=config_name)(tidy)()
+
+
+@contextlib.contextmanager
+def folder_of(run: Path | None) -> Iterator[None]:
+    """Convert Hydra's failure to create the run folder to a UserError; errors of the task leave before."""
+    try:
+        yield
+    except OSError as error:
+        if run is None or run.is_dir():
+            raise
+        message = f"run: cannot create the folder {run}: {error.strerror or error}. Choose another"
+        raise UserError(message) from error
 
 
 @contextlib.contextmanager

@@ -88,11 +88,18 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
 
 
 def parts_of(cfg: DictConfig) -> dict[str, Part]:
-    """Return the nodes of a training to be built from their keys and a few objects."""
+    """Return the nodes of a training to be built from their keys and a few objects.
+
+    Raises:
+        UserError: a GPU is asked for, and there is none.
+    """
     data = {key: value for key, value in plain_config(cfg.data).items() if key not in (*SIMULATION, *SENSOR)}
     node = cfg.trainer.copy()
     if cfg.loss.get("stages") and node.accelerator == "auto":
         node.accelerator = "cpu"  # for training on measurements
+    if node.accelerator in ("gpu", "cuda") and not torch.accelerator.is_available():
+        message = "trainer.accelerator: expected a GPU; received none. Use trainer.accelerator=cpu or auto"
+        raise UserError(message)
     parts = {
         "data": Part(OmegaConf.create(data), WindowDataModule, ("source", "window", "sensor")),
         "model": Part(cfg.model, AbstractModel, ("dof", "inertia", "window", "controls", "angular")),
