@@ -1,11 +1,12 @@
 # `make run` trains and judges the default model; `make test` checks everything with the quick tests, `make slow`
 # runs those of ten seconds and more; `make reproduce` runs the paper's tables at their smallest budget, with a
-# report; `make docs` builds the site into build/site; `make bench` measures.
+# report; `make docs` builds the site into build/site; `make bench` measures; `make matrix` runs the
+# quick tests on every Python here, with the newest and the oldest libraries.
 # Each sets up .venv by itself.
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: run test slow reproduce docs bench
+.PHONY: run test slow reproduce docs bench matrix
 
 run: .venv/installed
 	$(BIN)/python -m ahnn.train
@@ -31,6 +32,10 @@ docs: .venv/installed
 bench: .venv/installed
 	$(BIN)/pip install --quiet -c constraints.txt -e '.[dev,bench]'
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/run.py
+
+matrix: .venv/installed
+	$(BIN)/pip install --quiet uv
+	OMP_NUM_THREADS=1 $(BIN)/python tests/tools/matrix.py
 
 .venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv

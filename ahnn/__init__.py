@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from ahnn.errors import TrainingError, UserError
     from ahnn.fitting import fit
     from ahnn.loading import load
+    from ahnn.papers import citations
     from ahnn.runs import Run
     from ahnn.saving import save
     from ahnn.types import Space, Trajectories, Units
@@ -61,6 +62,7 @@ HOMES = {
     "Trajectories": "types",
     "Units": "types",
     "UserError": "errors",
+    "citations": "papers",
     "fit": "fitting",
     "load": "loading",
     "save": "saving",
@@ -80,6 +82,7 @@ __all__ = [
     "Units",
     "UserError",
     "__version__",
+    "citations",
     "fit",
     "load",
     "save",

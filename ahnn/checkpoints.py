@@ -62,6 +62,12 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     return content
 
 
+def as_stored(state: dict[str, Tensor], path: Path) -> dict[str, Tensor]:
+    """Return weights as `replace_weights` stores and a run loads them: rounded, in their own dtype."""
+    own = read_checkpoint(path)["state_dict"]
+    return {key: value.to(own[f"dynamics.{key}"]).to(value) for key, value in state.items()}
+
+
 def replace_weights(path: Path, state: dict[str, Tensor], about: dict[str, Any]) -> None:
     """Replace the weights and metadata of the dynamics in a Lightning checkpoint."""
     content = read_checkpoint(path)

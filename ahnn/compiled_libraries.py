@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import functools
 import hashlib
+import logging
 import os
 import platform
 import shlex
@@ -27,6 +29,7 @@ from ahnn.files import write_cached
 from ahnn.paths import cache_dir
 from ahnn.types import TimeStep
 
+logger = logging.getLogger(__name__)
 # No errno and no traps, so that square roots vectorise; infinities and NaN keep their meaning.
 FLAGS = ("-O3", "-funroll-loops", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi")
 POINTER, NUMBER, REAL = ctypes.c_void_p, ctypes.c_long, ctypes.c_double
@@ -64,6 +67,7 @@ def compiled_library(
     try:
         command = shlex.split(told) or ["cc"]
         if shutil.which(command[0]) is None:
+            _tell_of_no_compiler(command[0])
             return None
         flags = VECTORS.get(torch.backends.cpu.get_cpu_capability(), ()) if vectors else ()
         found = _built(source, [*command, *FLAGS, *flags, *(f"-D{name}" for name in defined)])
@@ -76,6 +80,15 @@ def compiled_library(
         warnings.warn(message, stacklevel=3)
         return None
     return found
+
+
+@functools.cache
+def _tell_of_no_compiler(program: str) -> None:
+    logger.warning(
+        "no C compiler: expected a program %s; received none. Small networks, gravity, the unscented filter "
+        "and long outputs are computed without their C libraries, more slowly",
+        program,
+    )
 
 
 def _built(source: Path, command: list[str]) -> ctypes.CDLL:
@@ -110,7 +123,9 @@ def _compile(line: list[str]) -> None:
         try:
             _, said = process.communicate(timeout=PATIENCE)
         except BaseException:  # also on an interrupt
-            os.killpg(process.pid, signal.SIGKILL)
+            if hasattr(os, "killpg"):  # not on Windows
+                os.killpg(process.pid, signal.SIGKILL)
+            process.kill()
             raise
     if process.returncode:
         raise subprocess.CalledProcessError(process.returncode, line, stderr=said[:1000])
@@ -138,7 +153,7 @@ def _own(folder: Path) -> bool:
         about = folder.stat()
     except OSError:
         return False
-    return about.st_uid == os.getuid() and not about.st_mode & 0o022
+    return hasattr(os, "getuid") and about.st_uid == os.getuid() and not about.st_mode & 0o022
 
 
 def followed() -> bool:

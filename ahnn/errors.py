@@ -17,6 +17,10 @@ class TrainingError(RuntimeError):
     """Training cannot continue (for example a non-finite loss); the message states where it stopped."""
 
 
+TERMINATIONS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""Signals by which a scheduler or a closed terminal ends a process; Windows has no SIGHUP."""
+
+
 class Stopped(BaseException):
     """Termination by a signal; not an `Exception`, so that no handler mistakes it for a failure.
 

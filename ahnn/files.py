@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import re
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,6 +16,7 @@ from uuid import uuid4
 from filelock import FileLock, Timeout
 
 from ahnn.errors import Occupied, UserError
+from ahnn.locks import lock
 from ahnn.manifest import digest_of, record, recorded, require_own
 
 UNFINISHED = re.compile(r"\.(.+)\.([0-9a-f]{32})\.tmp")
@@ -71,6 +72,8 @@ def atomic_file(path: Path, mark: str = "") -> Iterator[BinaryIO]:
             yield file
             file.flush()
             os.fsync(file.fileno())
+            if sys.platform == "win32":  # it renames no open file
+                file.close()
             temporary.replace(path)
         except BaseException as error:
             temporary.unlink(missing_ok=True)
@@ -83,9 +86,9 @@ def _unfinished(path: Path, mark: str) -> tuple[Path, BinaryIO]:
     """Return a new locked temporary file; retry if the file was removed before it was locked."""
     while True:
         temporary = path.with_name(f".{path.name}.{(mark + uuid4().hex)[:32]}.tmp")
-        file = open(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666), "wb")  # noqa: SIM115
+        file = temporary.open("xb")
         with contextlib.suppress(OSError):  # no cleanup on a file system without locks
-            fcntl.flock(file, fcntl.LOCK_EX)
+            lock(file)
         if temporary.exists():
             return temporary, file
         file.close()
@@ -100,8 +103,8 @@ def _remove_unfinished(folder: Path, known: dict[str, set[str]] | None) -> None:
         if known is not None and found[2][:MARK] not in {each[:MARK] for each in known.get(found[1], ())}:
             continue
         with contextlib.suppress(OSError), path.open("r+b") as file:  # it is gone, or its writer is alive
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            path.unlink()
+            lock(file, wait=False)
+            path.unlink()  # refused by Windows, where the file stays
 
 
 @contextlib.contextmanager
@@ -122,13 +125,13 @@ def claimed(folder: Path, name: str = ".claim") -> Iterator[None]:
             f"{place}: expected no file of that name, or an empty one; received one with content. Move it"
         )
         raise UserError(message)
-    lock = FileLock(place, timeout=0)
     try:
-        with lock:
+        with FileLock(place, timeout=0):
             try:
                 yield
             finally:
-                place.unlink(missing_ok=True)
+                with contextlib.suppress(PermissionError):  # Windows removes the file with its lock
+                    place.unlink(missing_ok=True)
     except Timeout as error:
         message = f"folder {folder}: expected one that no other process uses; received one in use"
         raise Occupied(message) from error

@@ -29,9 +29,9 @@ def headed(space: Space, name: str) -> str:
 
 
 def components(space: Space) -> list[str]:
-    """Return the names of the components with their units, as converted by `Space.divisor`."""
-    scale = "" if space.divisor == 1.0 else " / m"
-    names = [*space.components[: space.dof], *(name + scale for name in space.components[space.dof :])]
+    """Return the names of the components with their units, as converted by `Space.scales`."""
+    scales = zip(space.components, space.scales.tolist(), strict=True)
+    names = [name if scale == 1.0 else f"{name} / m" for name, scale in scales]
     found = []
     for k, name in enumerate(names):
         alike = of_coordinates(space, angle=space.angular[k % space.dof])

@@ -19,6 +19,8 @@ NAME = ".ahnn-files"
 HEAD = "# SHA-256 of each file that ahnn wrote here. It replaces and removes these alone, while unchanged.\n"
 UNRECORDED = {".hydra", "console.log", ".turn", ".claim"}
 """Files that a sweep creates in the folder of a job before the job begins."""
+FLAGS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+"""Where they exist: follow no link, and on Windows leave line feeds as they are."""
 LINE = re.compile(r"([0-9a-f]{64})  (.+)")
 
 
@@ -59,7 +61,7 @@ def record(path: Path, digest: str) -> None:
     if f"\n{line}" in text:
         return
     start = "" if text.endswith("\n") else "\n" if text else HEAD  # a crash may have truncated the last line
-    descriptor = os.open(manifest, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW, 0o666)
+    descriptor = os.open(manifest, os.O_WRONLY | os.O_CREAT | os.O_APPEND | FLAGS, 0o666)
     with open(descriptor, "ab", buffering=0) as file:
         file.write(f"{start}{line}".encode())
 

@@ -39,9 +39,11 @@ def available(root: Path = Path("/")) -> int:
 
     Args:
         root: root of the file system; without Linux's accounting files the machine's total memory is
-            returned.
+            returned, or on Windows no limit.
     """
-    limits = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
+    limits = [sys.maxsize]
+    with contextlib.suppress(AttributeError):  # Windows
+        limits = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
     with contextlib.suppress(OSError, KeyError, ValueError):
         limits = [1024 * _numbers(root / "proc/meminfo")["MemAvailable"]]
     with contextlib.suppress(OSError):

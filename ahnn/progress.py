@@ -1,14 +1,29 @@
-"""Progress bars on standard error that disappear when done."""
+"""Progress bars on standard error that disappear when done; log lines where it is not a terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import logging
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import TypeVar
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 T = TypeVar("T")
+SELDOM = 30.0
+"""Seconds between log lines of a stage."""
+log = logging.getLogger("ahnn")
+_note: ContextVar[Callable[[str], None] | None] = ContextVar("note", default=None)
 
 
 def progress_bar(*columns: TextColumn) -> Progress:
@@ -33,3 +48,32 @@ def track(items: Iterable[T], description: str, total: int) -> Iterator[T]:
     """Yield the items and show their count out of `total` in a progress bar."""
     with progress_bar() as bar:
         yield from bar.track(items, total=total, description=description)
+
+
+@contextmanager
+def stage(description: str) -> Iterator[None]:
+    """Show a stage of unknown length: its notes and the time, in a log a line every half minute."""
+    console = Console(stderr=True)
+    columns = TextColumn("{task.description}"), BarColumn(20), TimeElapsedColumn()
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task, began = bar.add_task(description, total=None), time.monotonic()
+        due = began + SELDOM
+
+        def show(text: str) -> None:
+            nonlocal due
+            bar.update(task, description=f"{description}: {text}")
+            if bar.disable and (now := time.monotonic()) >= due:
+                due = now + SELDOM
+                log.info("%s: %s, %.0f s so far", description, text, now - began)
+
+        token = _note.set(show)
+        try:
+            yield
+        finally:
+            _note.reset(token)
+
+
+def note(text: str) -> None:
+    """Show what the current stage does; without effect outside a stage."""
+    if (show := _note.get()) is not None:
+        show(text)

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import mkdocs_gen_files
 
+from ahnn.papers import PAPERS, entries
+
 ROOT = Path(__file__).parents[1]
 ROOMS = {
     "ahnn": "What most scripts need.",
@@ -114,7 +116,24 @@ def glossary_page() -> None:
         file.writelines(f"| {word} | {meaning} |\n" for word, meaning in entries)
 
 
+def papers_page() -> None:
+    """Write the papers for each method, as text and BibTeX."""
+    parts = [
+        "# Papers\n",
+        "`ahnn.citations(run)` returns the papers for the methods that a run used. `print` shows them as",
+        "text; the attribute `bibtex` has their entries.\n",
+    ]
+    for key, paper in entries().items():
+        methods = ", ".join(f"`{name}`" for name, keys in PAPERS.items() if key in keys)
+        parts.append(f"**{methods}**: {paper}\n")
+    bibtex = "\n".join(paper.bibtex for paper in entries().values())
+    parts.append(f"## BibTeX\n\n```bibtex\n{bibtex}\n```")
+    with mkdocs_gen_files.open("reference/papers.md", "w") as file:
+        file.write("\n".join(parts) + "\n")
+
+
 python_pages()
+papers_page()
 configuration_page()
 commands_page()
 glossary_page()

@@ -82,11 +82,11 @@ def test_outliers_do_not_spoil_the_fit():
     [
         (["fitted=1"], "start: expected 6 numbers or more, at two times or more; received 1 measure"),
         (["fitted=41"], "received 41 of 41 fitted. The start uses all of them"),
-        (["measurements=-"], "start: expected measurements=FILE beside start=fit"),
-        (["start_sd=[1,1]"], "start_sd: expected none beside start=fit"),
-        (["time=3"], "time: expected none beside start=fit"),
-        (["start=[0,0,0,0,0,0]", "fitted=3"], "fitted: expected start=fit beside fitted=3"),
-        (["objects=x"], "objects: expected none beside start=fit"),
+        (["measurements=-"], "start: expected measurements=FILE with start=fit"),
+        (["start_sd=[1,1]"], "start_sd: expected none with start=fit"),
+        (["time=3"], "time: expected none with start=fit"),
+        (["start=[0,0,0,0,0,0]", "fitted=3"], "fitted: expected start=fit with fitted=3"),
+        (["objects=x"], "objects: expected none with start=fit"),
         (
             ["measurement.sd=1e-4"],
             "expected a state that fits the first 20 measurements; received none",

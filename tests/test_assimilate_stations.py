@@ -50,7 +50,7 @@ def test_stations_of_a_file_are_followed_as_those_of_the_command_line(tmp_path, 
     assert call("ahnn.assimilate", *words, "stations=nowhere.yaml") == 2
     assert "nowhere.yaml: expected" in capsys.readouterr().err
     for more, said in (
-        (["fitted=3"], "fitted: expected orbit=FILE.yaml"),
+        (["fitted=3"], "fitted: expected start=fit"),
         (one_by_one, "stations: expected no other sen"),
     ):
         assert call("ahnn.assimilate", *words, "stations=nowhere.yaml", *more) == 2

@@ -142,3 +142,9 @@ def test_angles_beside_lengths_have_a_unit_of_their_own():
     joint = Space("joint", ("x", "a", "px", "pa"), Units("s", "m", "m/s", "J"), angles=("a",))
     assert labels.components(joint)[1::2] == ["a [rad]", "pa [rad/s]"]
     assert prediction_labels(joint) == ["x [m]", "a [rad]", "vx [m/s]", "va [rad/s]"]
+
+
+def test_momenta_of_different_masses_are_divided_each_by_its_own():
+    space = Space("pair", ("x", "y", "px", "py"), Units("s", "m", "m/s", "J"), inertia=(1.0, 10.0))
+    assert labels.components(space) == ["x [m]", "y [m]", "px [m/s]", "py / m [m/s]"]
+    assert [float(one) for one in space.scales] == [1.0, 1.0, 1.0, 10.0]

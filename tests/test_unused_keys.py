@@ -21,7 +21,7 @@ UNREAD = {
     "measurement=state": ("measurement", NONE),
     "measurement.sd=0.1": ("measurement.sd", NONE),
     "label=mine model_label=other": ("model_label", NONE),
-    "seeds=[1,2] seed=4": ("seed", "seeds sets the seeds"),
+    "seeds=[1,2] seed=4": ("seed", "seeds= replaces it"),
     "callbacks.rollout.count=0 callbacks.rollout.every=2 callbacks.best.monitor=val/loss": (
         "callbacks.rollout.every",
         "callbacks.rollout.count=0 disables rollouts",

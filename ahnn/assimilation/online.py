@@ -63,7 +63,7 @@ class Assimilation:
 
     Args:
         process: the estimator and its process model.
-        sensors: by name; a reading without name is of the only one.
+        sensors: by name; a reading without a name belongs to the only sensor.
         start: belief about the state, of one member.
         time: time of the belief.
         window: readings late by up to this are inserted at their time, and later ones are replayed.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import hashlib
 import json
 import math
@@ -23,6 +22,7 @@ from ahnn.assimilation.stream_sensor import StreamSensor
 from ahnn.data.estimate_table import COVARIANCE, DEVIATION, FIRST, INNOVATION
 from ahnn.data.files.sidecar import Sidecar
 from ahnn.errors import UserError
+from ahnn.locks import lock
 
 Format = Literal["csv", "json", "parquet"]
 TAIL = 1 << 14
@@ -232,7 +232,7 @@ def _opened(path: Path, *, new: bool) -> BinaryIO:
     path.parent.mkdir(parents=True, exist_ok=True)
     file = path.open("r+b" if path.exists() else "x+b")
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock(file, wait=False)
     except BlockingIOError as error:
         file.close()
         message = f"output: expected a file that no other process writes; received {path}"

@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
-from ahnn.errors import Stopped, UserError
+from ahnn.errors import TERMINATIONS, Stopped, UserError
 
 if TYPE_CHECKING:
     from lightning import Trainer
@@ -44,7 +44,7 @@ def _hand_to(handler: Callable[[int, Any], Any]) -> dict[int, Any]:
     """Install a handler for signals that are not ignored; return the former handlers."""
     if threading.current_thread() is not threading.main_thread():
         return {}
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    numbers = (signal.SIGINT, *TERMINATIONS)
     return {n: signal.signal(n, handler) for n in numbers if signal.getsignal(n) is not signal.SIG_IGN}
 
 

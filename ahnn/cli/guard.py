@@ -6,7 +6,9 @@ SIGTERM and 129 for SIGHUP. A closed pipe, as with `| head`, gives that of SIGPI
 
 from __future__ import annotations
 
+import atexit
 import contextlib
+import functools
 import logging
 import os
 import re
@@ -52,6 +54,7 @@ def guard(entry: Callable[[], Any]) -> int:
         with contextlib.suppress(AttributeError, OSError, ValueError):
             stream.reconfigure(errors="replace")  # pyright: ignore[reportAttributeAccessIssue]
     keep_freed()
+    _end_quietly()
     listen()
     try:
         entry()
@@ -74,10 +77,25 @@ def guard(entry: Callable[[], Any]) -> int:
         if not isinstance(error, OSError):
             raise
         if isinstance(error, BrokenPipeError):
-            return 128 + signal.SIGPIPE
+            return 141  # 128 + SIGPIPE, a signal that Windows does not know
         place = f"file {error.filename}" if error.filename else "standard output or a file"
         return report(f"{place}: {error.strerror or error}")
     return 0
+
+
+@functools.cache
+def _end_quietly() -> None:
+    """Discard what libraries print after the exit handlers, if Triton is imported.
+
+    Lightning imports it; Triton 3.9 then reports thirty lines of leaks at each end of a process.
+    """
+
+    def discard() -> None:
+        if "triton" in sys.modules:
+            sys.stderr.flush()
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+
+    atexit.register(discard)  # before those of libraries, and so called after them
 
 
 def leave(code: int) -> NoReturn:

@@ -26,7 +26,7 @@ usage: python -m ahnn.train [GROUP=OPTION ...] [KEY=VALUE ...]
   python -m ahnn.train model=hnn system=molniya seed=201
   python -m ahnn.train experiment=molniya_mechanical budget=smoke
   python -m ahnn.train -m model=hnn,node seed=7,201       # four jobs, one table
-  python -m ahnn.train run=runs/mine ckpt=last            # resume a run
+  python -m ahnn.train model=hnn run=runs/mine ckpt=last  # resume
 
 Groups and their options, defaults in [brackets]:
 
@@ -35,8 +35,9 @@ MORE = """
 recipe, model, system, sweep and experiment choose options of other groups as
 well; the command line takes precedence.
 
+  ckpt=last             resume a run: repeat its whole command, and add this
   --help GROUP=OPTION   the keys of an option with their comments
-  --cfg job             configuration of the command; --resolve resolves references
+  --cfg job             configuration; --resolve resolves references
   -m                    several jobs: all combinations of KEY=A,B, or a sweep=
   --config-dir DIR      your own options: DIR/system/mine.yaml
   -sc install=bash      completion: eval "$(ahnn-train -sc install=bash)"

@@ -110,9 +110,9 @@ def build_sighted(options: dict[str, Any], source: Observed) -> Recorded:
     Raises:
         UserError: other measurements.
     """
-    seen = source.measurement
+    seen = source.sensors()
     if options["measured"] is not None:
-        message = f"data.measured: expected null, as stations measured; received {options['measured']}"
+        message = f"data.measured: expected null, since stations measured; received {options['measured']}"
         raise UserError(message)
     biased = seen.bias_sd if any(seen.bias_sd) else None
     options |= {"measured": seen, "noise": options["noise"] or seen.deviations}

@@ -70,14 +70,14 @@ def read_stream(arguments: list[str], usage: str) -> Stream:
 def require_own_keys(options: AssimilationRequest, nodes: DictConfig) -> None:
     """Raise UserError for keys without those they belong to, and for sensors defined twice."""
     if options.folder is not None:
-        message = f"folder: expected orbit=FILE.yaml beside folder={options.folder}; received a run"
+        message = f"folder: expected orbit=FILE.yaml with folder={options.folder}; received a run"
         raise UserError(message)
     if options.start != "fit" and options.fitted is not None:
-        message = f"fitted: expected start=fit beside fitted={options.fitted}; received another start"
+        message = f"fitted: expected start=fit with fitted={options.fitted}; received another start"
         raise UserError(message)
     for key in ("start_sd", "time", "objects", "controls") if options.start == "fit" else ():
         if (value := getattr(options, key)) is not None:
-            message = f"{key}: expected none beside start=fit; received {value}"
+            message = f"{key}: expected none with start=fit; received {value}"
             raise UserError(message)
     if options.stations is not None and nodes:
         message = f"stations: expected no other sensors; received {', '.join(map(str, nodes))}"

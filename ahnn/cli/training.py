@@ -84,9 +84,10 @@ def train_once(cfg: DictConfig, source: Source | None = None, asked: Sequence[st
             seconds = fit(prepared)
         if not trainer.is_global_zero:
             return math.nan
-        with interruptible(trainer, lambda: f"evaluate it with python -m ahnn.evaluate run={folder}"):
-            from ahnn.jobs.closing import judge
+        from ahnn.jobs.closing import is_concluded, judge
 
+        evaluated = f"evaluate it with python -m ahnn.evaluate run={folder}"
+        with interruptible(trainer, lambda: evaluated if is_concluded(prepared) else go_on(cfg)):
             return judge(prepared, seconds)
 
 

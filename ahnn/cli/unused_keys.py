@@ -100,7 +100,7 @@ def unread_of_training(cfg: DictConfig, prepared: Prepared, *, several: bool) ->
     measured = "a loss on windows does not estimate noise; a recipe with loss.stages does"
     yield from unless(
         ("weights", cfg.ckpt is None or cfg.weights is None, "ckpt resumes a training from its own weights"),
-        ("seed", not several, "seeds sets the seeds"),
+        ("seed", not several, "seeds= replaces it"),
         ("scheduler", automatic or not cfg.scheduler, "second-order steps have no learning rate"),
         ("data.bias_sd", staged or cfg.data.get("bias_sd") is None, measured),
         ("data.correlation", staged or cfg.data.get("correlation") is None, measured),

@@ -49,9 +49,8 @@ class Source(Protocol):
 class Observed(Source, Protocol):
     """Source of measurements that are no components of states, whose `read` has the positions they show."""
 
-    @property
-    def measurement(self) -> Any:
-        """Model of all its sensors side by side, with their noise and biases."""
+    def sensors(self) -> Any:
+        """Return the model of all its sensors side by side, with their noise and biases."""
         ...
 
     def observations(self) -> Observations:

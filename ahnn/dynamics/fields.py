@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from ahnn.dynamics import fused_steps, native
 from ahnn.dynamics.base import Dynamics
 from ahnn.dynamics.forced import Forced
-from ahnn.dynamics.forces import Force, NetworkForce
+from ahnn.dynamics.forces import Force
 from ahnn.dynamics.gradients import Layers
 from ahnn.dynamics.hamiltonians import GenericHamiltonian, Structure, make_hamiltonian
 from ahnn.dynamics.inputs import Cartesian, InputName
@@ -160,13 +160,13 @@ class HamiltonianDynamics(IntegratedField):
             self.silence()
         self.assumes = ", ".join(assumed)
 
+    @torch.no_grad()
     def silence(self) -> None:
         """Set the learned potential and learned forces to zero, so that known physics is left."""
-        parts = [self.field]
-        if isinstance(self.field, Forced):  # friction L L^T would not grow from zero
-            parts = [self.field.hamiltonian, *(p for p in self.field.parts if isinstance(p, NetworkForce))]
-        for part in parts:
-            silence(part)
+        field: nn.Module = self.field
+        silence(field.hamiltonian if isinstance(field, Forced) else field)
+        for force in field.parts if isinstance(field, Forced) else ():
+            force.silence()
 
     def _as_one(self, x: Tensor, dt: TimeStep) -> tuple[Layers, Scheme] | None:
         """Return field and scheme if a step from states like x is a single fused operation, else None."""

@@ -46,7 +46,7 @@ def recorded(flow: Flow) -> Flow:
 
 def _fixed(flow: Flow) -> bool:
     """Return whether a flow consists of dynamics with data-independent operations."""
-    if clock_of(flow):
+    if clock_of(flow) > 1:  # controls
         return False
     if isinstance(flow, HamiltonianDynamics | NeuralDynamics):
         return isinstance(flow.integrator, ExplicitRungeKutta | SymmetricComposition)
@@ -57,7 +57,7 @@ class _Recorded:
     """Recordings of a flow, one per shape of the states."""
 
     def __init__(self, flow: Flow) -> None:
-        self.flow = flow
+        self.flow, self.clock = flow, clock_of(flow)
         self._known: dict[torch.Size, Callable[[Tensor, Tensor], Tensor]] = {}
 
     def __getstate__(self) -> dict[str, Any]:

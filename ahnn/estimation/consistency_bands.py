@@ -53,3 +53,20 @@ def judged_nis(result: FilterResult) -> Judged:
         return Judged(float("nan"), (float("nan"), float("nan")))
     degrees = float(result.measured[there].double().mean())
     return Judged(float(values.nanmean()), band(degrees, count))
+
+
+def nis_at_times(values: Tensor, measured: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the NIS per measured number at each time over all members, and its 95 % band, (T,) each.
+
+    The NIS of members add to chi-square with as many degrees of freedom as measured numbers, which differ
+    where a sensor does not see all.
+
+    Args:
+        values: (B, T) NIS, NaN where ignored.
+        measured: (B, T) number of measured components.
+    """
+    counts = (measured * values.isfinite()).sum(0)
+    known = {n: band(n, 1) for n in counts.unique().tolist() if n}
+    limits = [[limit / n for limit in known[n]] if n else [torch.nan] * 2 for n in counts.tolist()]
+    low, high = torch.tensor(limits, dtype=torch.float64).reshape(-1, 2).unbind(-1)
+    return values.nansum(0) / counts, low, high

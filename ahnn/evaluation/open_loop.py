@@ -84,7 +84,8 @@ def open_loop(case: Case) -> Findings:
         findings.rows.append(Row(who, case.score(prediction), note, extra))
     for start, floor in there.items():
         clock = case.test.clock(clock_of(floor.flow))
-        prediction = rollout(floor.flow, starts[start], case.dt, samples, clock=clock)
+        text = described(floor.who, case.label)
+        prediction = rollout(floor.flow, starts[start], case.dt, samples, text, clock=clock)
         findings.arrays[f"floor_{start}_start"] = prediction
         findings.rows.append(Row(floor.who, case.score(prediction)))
     return findings

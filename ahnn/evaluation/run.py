@@ -21,6 +21,8 @@ from ahnn.evaluation.titles import described
 from ahnn.evaluation.trajectory_figures import open_loop_figures
 from ahnn.evaluation.verdict import verdict
 from ahnn.measurements import Segment
+from ahnn.progress import note as show
+from ahnn.progress import stage
 from ahnn.uncertainty import Uncertainty, learned_constants
 
 
@@ -39,29 +41,8 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
     findings.faults += [row.note for row in findings.rows if row.note]
     findings.tell(case.caveat)
     findings.tell(case.remark, findings.highlights)
-    value = add_worth(case, findings)
-    add_constants(case, findings)
-    if case.measured is not None:
-        flow = cast(Any, case.flow)
-        add_noise(case, case.measured, findings)
-        explained = explain(flow, case.measured, case.robust)
-        if explained.consistent:
-            findings.tell(explained.sentence())
-        else:
-            findings.tell(explained.sentence(), findings.faults)
-            findings.tell(remedy(flow, case.measured, case.robust), findings.faults)
-        findings.tell(invisible(flow, case.measured, case.noise), findings.highlights)
-        findings.numbers["measurements"] = explained.numbers()
-    if figures:
-        findings.figures |= open_loop_figures(case, findings.arrays)
-    if (known := case.uncertainty) is not None:
-        findings.numbers["uncertainty"] = {"inflation": known.inflation, **known.about}
-        if case.fitted is None:  # bands do not apply to measurements
-            add_band(case, known, findings, figures=figures)
-        if case.measured is not None:
-            add_forecast(case, known, case.measured, findings)
-    if case.measured is not None and case.fitted is None:
-        add_force_bound(case, findings)
+    with stage("evaluation"):
+        value = add_tests(case, findings, figures=figures)
     seen = "truth" if case.fitted is None else "measurements"
     findings.arrays |= {seen: case.test.states, "times": case.test.times}
     for name, plugin in plugins.items():
@@ -70,6 +51,45 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
     told = verdict(value, findings.faults, findings.highlights, noisy=noisy, caveat=case.caveat)
     findings.numbers["verdict"] = {"findings": told}
     return findings
+
+
+def add_tests(case: Case, findings: Findings, *, figures: bool) -> Worth:
+    """Add the tests of the model without filters, and return the comparison with baselines."""
+    show("baselines")
+    value = add_worth(case, findings)
+    add_constants(case, findings)
+    if case.measured is not None:
+        add_noise(case, case.measured, findings)
+        add_goodness(case, case.measured, findings)
+    if figures:
+        findings.figures |= open_loop_figures(case, findings.arrays)
+    if (known := case.uncertainty) is not None:
+        findings.numbers["uncertainty"] = {"inflation": known.inflation, **known.about}
+        if case.fitted is None:  # bands do not apply to measurements
+            show("bands of the prediction")
+            add_band(case, known, findings, figures=figures)
+        if case.measured is not None:
+            show("forecasts")
+            add_forecast(case, known, case.measured, findings)
+    if case.measured is not None and case.fitted is None:
+        show("bound of the true force")
+        add_force_bound(case, findings)
+    return value
+
+
+def add_goodness(case: Case, measured: Segment, findings: Findings) -> None:
+    """Add the goodness of fit to unseen measurements, with remedies if it is poor."""
+    show("goodness of fit")
+    flow = cast(Any, case.flow)
+    explained = explain(flow, measured, case.robust)
+    if explained.consistent:
+        findings.tell(explained.sentence())
+    else:
+        findings.tell(explained.sentence(), findings.faults)
+        show("tests of the residuals")
+        findings.tell(remedy(flow, measured, case.robust), findings.faults)
+    findings.tell(invisible(flow, measured, case.noise), findings.highlights)
+    findings.numbers["measurements"] = explained.numbers()
 
 
 def add_plugin(case: Case, name: str, plugin: EvaluationPlugin, findings: Findings, *, figures: bool) -> None:

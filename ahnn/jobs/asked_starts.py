@@ -26,6 +26,6 @@ def asked_starts(
     ours = Reference.of(space.frame).chosen(Reference.of(named)).since(epoch)
     found = starts(given, space, ours, sd=sd)
     if epoch is not None and found.reference.epoch is not None:
-        message = f"epoch: expected none, since the file of the start has its own; received {epoch}"
+        message = f"epoch: expected none, since the start file has its own; received {epoch}"
         raise UserError(message)
     return referred(found, ours)

@@ -109,7 +109,7 @@ def require_together(options: AssimilationRequest) -> None:
     if options.objects is None:
         for key in ("states", "shard"):
             if (value := getattr(options, key)) is not None:
-                message = f"{key}: expected objects=COLUMN beside it; received {key}={value} alone"
+                message = f"{key}: expected objects=COLUMN with it; received {key}={value} alone"
                 raise UserError(message)
         return
     one = {key: getattr(options, key) for key in ("figures", "oem", "object", "controls", "lag")}

@@ -11,7 +11,7 @@ from typing import Any
 
 from lightning.pytorch.loggers import TensorBoardLogger
 
-from ahnn.checkpoints import read_weights, replace_weights
+from ahnn.checkpoints import as_stored, checksum, read_weights, replace_weights
 from ahnn.errors import TrainingError
 from ahnn.evaluation import report
 from ahnn.evaluation.make_case import make_case
@@ -20,7 +20,9 @@ from ahnn.evaluation.sinks import TensorBoardSink
 from ahnn.jobs.prepared import Prepared
 from ahnn.loading import load, made, weights_path
 from ahnn.measurements import UnknownNoise
+from ahnn.progress import stage
 from ahnn.training import Shooting
+from ahnn.training.closing_journal import ClosingJournal
 from ahnn.training.estimated_noise import conclude_with_noise
 from ahnn.training.fitted_paths import fitted_states
 from ahnn.uncertainty import find_domain, save_uncertainty
@@ -29,19 +31,41 @@ log = logging.getLogger("ahnn")
 
 
 def conclude_on_measurements(prepared: Prepared) -> float:
-    """Take the final steps, save weights, uncertainty and training domain, and return the seconds."""
-    folder, data, robust = prepared.folder, prepared.data, prepared.robust
+    """Take the final steps, save weights, uncertainty and training domain, and return the seconds.
+
+    After an interruption it continues from its journal; a second call does nothing.
+    """
+    started, best = time.monotonic(), weights_path(prepared.folder)
+    if is_concluded(prepared):
+        return 0.0
+    journal = ClosingJournal(best.parent / "closing", checksum(read_weights(best).state, ""))
     steps = prepared.model.curriculum.closing
-    started, best = time.monotonic(), weights_path(folder)
+    after = f" after at most {steps} closing steps" if steps else ""
+    log.info("closing stage on all measurements: prior and covariance of the weights%s", after)
+    with stage("closing stage"), journal.active():
+        _conclude(prepared, best, steps)
+    journal.remove()
+    return time.monotonic() - started
+
+
+def is_concluded(prepared: Prepared) -> bool:
+    """Return whether nothing is left to do between the steps and the evaluation."""
+    best = weights_path(prepared.folder)
+    if prepared.data.stages is None:
+        return True
+    return best.exists() and bool(read_weights(best).about.get("concluded"))
+
+
+def _conclude(prepared: Prepared, best: Path, steps: int) -> None:
+    folder, data, robust = prepared.folder, prepared.data, prepared.robust
     dynamics = made(read_weights(best), folder).dynamics
-    after = f" after at most {steps} last steps" if steps else ""
-    log.info("what all measurements leave open%s: prior and covariance of the weights", after)
     train = data.whole("train")
     unknown = UnknownNoise() if data.sensor is None else data.sensor.unknown
     found, noise = conclude_with_noise(dynamics, train, data.whole("val"), steps, robust, unknown)
+    about: dict[str, Any] = {"concluded": True}
     if found is not None:
         learned, _ = found.taken(dynamics)
-        batch, about = next(iter(data.val_dataloader())), dict[str, Any]()
+        batch = next(iter(data.val_dataloader()))
         if noise is not None:
             about["noise"] = noise.about()
             seen = noise.applied(train.instrument, unknown)
@@ -49,9 +73,8 @@ def conclude_on_measurements(prepared: Prepared) -> float:
         about["val_loss"] = float(Shooting(None, robust).validation(learned, batch)["loss"])
         if len(states := fitted_states(dynamics, train, robust)) > 1:
             about["domain"] = find_domain(dynamics, states).about()
-        replace_weights(best, dynamics.state_dict(), about)
-        save_uncertainty(folder, found, made(read_weights(best), folder).dynamics.state_dict())
-    return time.monotonic() - started
+        save_uncertainty(folder, found, as_stored(dynamics.state_dict(), best))  # before the weights say so
+    replace_weights(best, {} if found is None else dynamics.state_dict(), about)
 
 
 def judge(prepared: Prepared, seconds: float) -> float:

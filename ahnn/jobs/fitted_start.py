@@ -118,7 +118,7 @@ def fitted_start(
         raise TrainingError(message)
     covariance = max(1.0, chi_square) * covariance_of(run, best, bias_sd)
     log.info(
-        "start: fitted to the first %d measurements, up to line %d (%s): %s; the filter goes on behind it",
+        "start: fitted to the first %d measurements, up to line %d (%s): %s; the filter continues after them",
         *(len(lines), lines[-1][0], told, said(last[0], covariance, run.space)),
     )
     start = Starts(("UNKNOWN",), last, segment.times[:, -1], covariances=covariance[None])
@@ -147,7 +147,7 @@ def first_readings(
 ) -> list[tuple[int, Reading]]:
     """Return the first measurements of a file in order of time, with their lines; raises UserError."""
     if file == "-":
-        message = "start: expected measurements=FILE beside start=fit, which reads its first lines twice; "
+        message = "start: expected measurements=FILE with start=fit, which reads its first lines twice; "
         raise UserError(message + "received standard input")
     found, layout, header = list[tuple[int, Reading]](), None, ""
     most = TAKEN if wanted is None else round(wanted) if wanted >= 1 else None
@@ -248,7 +248,8 @@ def covariance_of(run: Run, best: BestFit, bias_sd: Tensor) -> Tensor:
     if not bool((scale > 0).all()) or values[-1] < UNSEEN * values[0]:
         message = (
             f"start: expected measurements that determine {len(scale)} components; received "
-            f"{int(segment.measured)} numbers that leave some open. Fit more, fitted=N, or give start="
+            f"{int(segment.measured)} numbers, which leave some undetermined. Fit more, fitted=N, or "
+            f"give start="
         )
         raise UserError(message)
     count = sum(parameter.numel() for parameter in run.dynamics.parameters())

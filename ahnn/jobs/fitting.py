@@ -8,9 +8,11 @@ import time
 
 from ahnn.checkpoints import read_checkpoint, require_same
 from ahnn.files import write_atomically
+from ahnn.jobs.evaluation_estimate import evaluation_seconds
 from ahnn.jobs.prepared import Prepared
 from ahnn.loading import load
 from ahnn.models import AbstractModel
+from ahnn.progress import stage
 from ahnn.training.cuda_graph import RecordedStep, can_record
 from ahnn.training.runtime_estimate import expected_seconds
 from ahnn.uncertainty import find_domain
@@ -68,9 +70,10 @@ def announce(prepared: Prepared) -> None:
     done = 0 if prepared.checkpoint is None else read_checkpoint(prepared.checkpoint)["global_step"]
     per_epoch = -(-len(data.train_dataloader()) // trainer.accumulate_grad_batches)
     epochs = range(done // per_epoch, int(trainer.max_epochs or 1))
-    seconds = expected_seconds(trainer, data, model, per_epoch, epochs)
+    with stage("timing some steps"):
+        seconds = expected_seconds(trainer, data, model, per_epoch, epochs) + evaluation_seconds(prepared)
     log.info(
-        "training %s on %s: %s optimiser steps of %d windows in %d epochs%s, about %s on this machine",
+        "training %s on %s: %s optimiser steps of %d windows in %d epochs%s, about %s with evaluation",
         prepared.label,
         data.source.space.name,
         f"{per_epoch * epochs.stop - done:,}",

@@ -136,7 +136,7 @@ def stations_of(file: str, begin: Starts, run: Run) -> list[PlannedSensor]:
     clock = StreamClock(run.space.units.time, reference.epoch, reference.clock or "UTC")
     angle = 0.0 if reference.epoch is None else clock.earth_angle()
     if reference.epoch is None:
-        log.warning("epoch: not given; the Greenwich meridian is taken to lie on the x axis at time zero")
+        log.warning("epoch: not given; the Greenwich meridian is assumed on the x axis at time zero")
     made = []
     for name, entry in read_stations(file).items():
         model = BiasedStation(entry, angle, run.space.mass)

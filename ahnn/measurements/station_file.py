@@ -60,7 +60,7 @@ class StationEntry:
     bias_sd: dict[str, float] = field(default_factory=dict)
 
     def numbers(self, kind: str, other: float = 0.0) -> list[float]:
-        """Return `noise`, `bias` or `bias_sd` of `SEEN`, km, rad and km/s; another number without one."""
+        """Return `noise`, `bias` or `bias_sd` for each of `SEEN`, in km, rad, km/s; `other` where missing."""
         given = getattr(self, kind)
         return [given[name] * FACTORS.get(name, 1.0) if name in given else other for name in SEEN]
 

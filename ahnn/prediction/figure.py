@@ -5,6 +5,7 @@ from __future__ import annotations
 from matplotlib.figure import Figure
 
 from ahnn.evaluation import style
+from ahnn.labels import quantity
 from ahnn.prediction.prediction_table import labels
 from ahnn.prediction.propagation import Prediction
 from ahnn.types import Space
@@ -36,6 +37,9 @@ def prediction_figure(prediction: Prediction, space: Space, title: str) -> Figur
         panels[2].set_ylabel("novelty")
         panels[2].set_ylim(bottom=0)
         panels[2].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    for axes, block in zip(panels, ("position", "velocity"), strict=False):
+        name, unit = quantity(space, block)
+        axes.set_ylabel(f"{name} [{unit}]")
     style.label_time(panels[-1], style.Axis(time, space.units.time))
     panels[0].set_title(title if prediction.deviations is None else f"{title}, with {SIGMAS} sigma")
     return figure

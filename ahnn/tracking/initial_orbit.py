@@ -92,7 +92,7 @@ class OrbitOfPositions(NamedTuple):
 
 
 def orbit_of_positions(positions: Array, times: Array) -> OrbitOfPositions | None:
-    """Return an orbit of the three of positions (T, 3) that span the most of an arc; None without one."""
+    """Return an orbit through three positions of (T, 3) that span most of an arc; None if there is none."""
     if (chosen := triple(positions)) is None:
         return None
     at, three = times[chosen], positions[chosen]

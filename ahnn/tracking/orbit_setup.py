@@ -115,7 +115,7 @@ class OrbitSetup:
 
     Attributes:
         measurements: file of them, as `read_tracking` reads it.
-        object: which satellite of the file; the only one without it.
+        object: name of the satellite; may be omitted if the file has only one.
         start: where the fit begins; without it at an initial orbit by directions, and ranges if there are.
         orientation: bulletins B; without them the days of astropy-iers-data.
         stations: of each [latitude, longitude, height], degrees and m, or all that

@@ -98,6 +98,10 @@ class Sightings:
         """Return the positions that simultaneous ranges and angles show, NaN elsewhere; momenta are NaN."""
         return self._trajectories
 
+    def sensors(self) -> StationsOfFile:
+        """Return the stations side by side."""
+        return self.measurement
+
     def observations(self) -> Observations:
         """Return the measurements of all stations side by side, (B, T, M), NaN where missing."""
         return self._observations
@@ -128,7 +132,7 @@ class Sightings:
                     raise UserError(message)
                 values[row[own], columns[name][k]] = data.values[own, k]
         if unused:
-            log.warning("%s: not used, as no noise of it is stated: %s", file, ", ".join(sorted(unused)))
+            log.warning("%s: not used, since its noise is not given: %s", file, ", ".join(sorted(unused)))
         if np.isfinite(data.deviations).any():
             log.warning("%s: its standard deviations are not used; those of the stations are", file)
         after = (data.epoch - epoch) / SECOND

@@ -68,7 +68,8 @@ def conclude(
     found = _concluded(dynamics, train, held_out, steps, robust)
     if found is None:
         return None
-    return replace(found, directions=least_told(dynamics, found.spread, train, robust))
+    learned, _ = found.taken(dynamics)  # the step in function space may be what fits them
+    return replace(found, directions=least_told(dynamics, found.spread, train, robust, learned))
 
 
 def _concluded(

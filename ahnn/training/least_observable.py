@@ -17,22 +17,25 @@ INTERVALS = 2000
 
 
 @torch.no_grad()
-def least_told(dynamics: Dynamics, spread: Tensor, train: Segment, robust: RobustName) -> Tensor | None:
+def least_told(
+    dynamics: Dynamics, spread: Tensor, train: Segment, robust: RobustName, learned: Dynamics | None = None
+) -> Tensor | None:
     """Return the parameter directions (P, K) least observable by a filter from such measurements.
 
     Simulates the filter on some training trajectories, with initial uncertainty as large as the states.
 
     Args:
-        dynamics: float64 dynamics with a field.
+        dynamics: float64 dynamics with a field, whose parameters these are.
         spread: L, shape (P, R); L L^T is the covariance of the parameters.
         train: all training measurements.
         robust: robust loss of single residuals.
+        learned: the dynamics after a step in function space, which may be what fits; None without one.
 
     Returns:
-        None if the dynamics fit none of these trajectories.
+        None if they fit none of these trajectories.
     """
     some = train.first(INTERVALS).rows(slice(None, None, max(1, len(train.times) // ARCS)))
-    met = ShootingProblem(dynamics, some, ROBUST[robust], LOST)
+    met = ShootingProblem(dynamics if learned is None else learned, some, ROBUST[robust], LOST)
     if not len(met.starts):
         return None
     sizes = met.fitted.states[met.kept].unflatten(-1, (2, -1)).square().nanmean((0, 1, 3)).sqrt()

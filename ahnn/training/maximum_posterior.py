@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, cast
 
 import torch
@@ -11,9 +11,12 @@ from torch import Tensor
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.measurements import Segment
-from ahnn.shooting.initial_states import FOLLOWING, SURE, Fitted, refine
+from ahnn.progress import note
+from ahnn.shooting.initial_states import FOLLOWING, SURE, Fitted, Trial, followed, refine
+from ahnn.shooting.path_sensitivities import Steps
 from ahnn.shooting.quadrature import coarse
 from ahnn.shooting.robust import Robust
+from ahnn.training.closing_journal import is_active, kept
 from ahnn.training.evidence import Prior, determined, posterior_factor
 from ahnn.training.limited_segments import Limit, freedom
 from ahnn.training.normal_equations import Block, Equations
@@ -33,8 +36,21 @@ class WideProblem(ShootingProblem):
     @torch.no_grad()
     def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
         """Return loss and normal equations, starts and biases eliminated."""
-        found = super().equations(theta, sizes)
-        if self.batch.instrument.bias_sd is None or not found.blocks:
+        if not len(self.starts):
+            return super().equations(theta, sizes)
+
+        def compute() -> dict[str, Tensor]:
+            found = super(WideProblem, self).equations(theta, sizes)
+            return {
+                "loss": found.loss,
+                "matrix": found.blocks[0].matrix,
+                "gradient": found.blocks[0].gradient,
+            }
+
+        found = kept("normal equations", compute)
+        block = Block(torch.arange(len(found["gradient"])), found["matrix"], found["gradient"])
+        found = Equations(found["loss"], self.count, [block])
+        if self.batch.instrument.bias_sd is None:
             return found
         found, self.shared = eliminated(found, self.batch.instrument)
         return found
@@ -56,8 +72,39 @@ class WideProblem(ShootingProblem):
     @torch.no_grad()
     def loss(self, theta: Tensor) -> Tensor:
         """Return the sum of squared residuals, each segment from its best start, of the best biases."""
-        plain = super().loss(theta)
-        return self._with_best_biases(plain, self.refitted(theta)) if len(self.starts) else plain
+
+        def compute() -> dict[str, Tensor]:
+            plain = super(WideProblem, self).loss(theta)
+            some = len(self.starts) > 0
+            return {"loss": self._with_best_biases(plain, self.refitted(theta)) if some else plain}
+
+        return kept("trial of a step", compute)["loss"]
+
+    @torch.no_grad()
+    def gradient(self, theta: Tensor) -> Tensor:
+        """Return J^T r, shape (P,), as `ShootingProblem.gradient`."""
+        return kept("gradient", lambda: {"gradient": super(WideProblem, self).gradient(theta)})["gradient"]
+
+    def fit(
+        self, trial: Trial, starts: Tensor | None, batch: Segment, steps: Steps, hopeless: float
+    ) -> Fitted:
+        """Fit the initial states; with a journal their paths follow from them alone, so that bits agree."""
+        return self._paths(
+            trial, lambda: super(WideProblem, self).fit(trial, starts, batch, steps, hopeless), batch, steps
+        )
+
+    def _paths(self, trial: Trial, fit: Callable[[], Fitted], batch: Segment, steps: Steps) -> Fitted:
+        if not is_active():
+            note("initial states")
+            return fit()
+
+        def compute() -> dict[str, Tensor]:
+            found = fit()
+            return {"starts": found.starts, "lost": found.sums.isinf()}
+
+        found = kept("initial states", compute)
+        states, sums = followed(trial, found["starts"], batch, steps)
+        return Fitted(states, sums.masked_fill(found["lost"], torch.inf))
 
     def _with_best_biases(self, loss: Tensor, fitted: Fitted) -> Tensor:
         return loss if self.shared is None else loss - self.shared.gain(self.pull(fitted))
@@ -77,9 +124,9 @@ class WideProblem(ShootingProblem):
     @torch.no_grad()
     def follow(self, theta: Tensor) -> None:
         """Refit the initial states after a step to theta, shape (P,)."""
-        near = self.refitted(theta).starts
-        fitted = refine(self.trial(theta), near, self.batch, self.steps, FOLLOWING, SURE)
-        self._linear = None
+        trial, near = self.trial(theta), lambda: self.refitted(theta).starts
+        fit = lambda: refine(trial, near(), self.batch, self.steps, FOLLOWING, SURE)  # noqa: E731
+        fitted, self._linear = self._paths(trial, fit, self.batch, self.steps), None
         self.fitted, self.starts, self.limit = (
             fitted,
             fitted.starts,

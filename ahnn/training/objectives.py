@@ -20,6 +20,7 @@ from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.errors import UserError
 from ahnn.extensions import Table
+from ahnn.training.fitted_starts import FittedStarts
 from ahnn.training.least_squares import (
     LeastSquares,
     LeastSquaresProblem,
@@ -146,7 +147,9 @@ def _below_zeros(rows: Tensor, size: int) -> Tensor:
     return nn.functional.pad(rows, (0, 0, missing, 0)) if missing else rows  # padding by zero avoids a copy
 
 
-OBJECTIVES: Table[Callable[..., Objective]] = Table("ahnn.objectives", {"recursive": Recursive})
+OBJECTIVES: Table[Callable[..., Objective]] = Table(
+    "ahnn.objectives", {"recursive": Recursive, "fitted_starts": FittedStarts}
+)
 """Objectives by their `loss.objective` name: called with the loss, the window W and `loss.options`."""
 
 

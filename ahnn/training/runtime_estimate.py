@@ -25,6 +25,8 @@ ENOUGH = 0.25
 """Seconds of steps that suffice for timing: of longer steps only one is timed."""
 REFITTED = 0.5
 """Relative cost of a step that starts from previously fitted initial states."""
+FUNCTIONS = 1.7
+"""Cost of the steps in function space and of the covariance, in fits to all measurements; measured."""
 STRETCHES, STRETCH = 300, 64
 """Maximum number of segments on which final steps are timed, and of their measurement intervals."""
 
@@ -61,13 +63,13 @@ def _on_measurements(model: Any, data: WindowDataModule, per_epoch: int, epochs:
     """
     objective, closing = model.curriculum.at(0, epochs.stop), model.curriculum.closing
     each = step_seconds(model, data, objective) / next(iter(data.train_dataloader())).times.numel()
-    last = each * (1 + REFITTED * (closing + 1))  # one more step in function space
+    last = each * (1 + REFITTED * closing + FUNCTIONS)
     if not isinstance(objective, Shooting):  # after the weak form, initial states are fitted quickly
-        last = _shooting_seconds(model, data) * REFITTED * (closing + 2)
+        last = shooting_seconds(model, data) * (REFITTED * (closing + 1) + FUNCTIONS)
     return last * data.measured("train").times.numel() + each * sum(amounts(data, per_epoch, epochs))
 
 
-def _shooting_seconds(model: Any, data: WindowDataModule) -> float:
+def shooting_seconds(model: Any, data: WindowDataModule) -> float:
     """Return the time of shooting fits and equations per measurement time.
 
     Timed on the beginnings of trajectories, since untrained dynamics diverge soon.

@@ -39,7 +39,7 @@ from ahnn.shooting.initial_states import (
     refit,
 )
 from ahnn.shooting.normal_points import normal_points
-from ahnn.shooting.path_sensitivities import adjoints, path, sensitivities, steps_between
+from ahnn.shooting.path_sensitivities import Steps, adjoints, path, sensitivities, steps_between
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
 from ahnn.training.limited_segments import Limit, freedom, near
 from ahnn.training.normal_equations import Equations, ResidualRows, accumulated
@@ -144,16 +144,21 @@ class ShootingProblem:
         self._exact = Increments(dynamics, PATHS * steps.lengths.shape[1])
         self._jacobians = jacobians_of_steps(dynamics)
         trial = self.trial(parameters_to_vector(dynamics.parameters()).detach())
-        if starts is None:
-            self.fitted = fit_starts(trial, guess(batch), batch, steps, hopeless)
-        else:
-            self.fitted = refine(trial, starts, batch, steps, FOLLOWING, SURE)
+        self.fitted = self.fit(trial, starts, batch, steps, hopeless)
         self.kept = kept = near(self.fitted.sums, freedom(batch), hopeless)
         self.steps, self.batch, self.starts = steps.rows(kept), batch.rows(kept), self.fitted.starts[kept]
         self.limit = Limit.of(self.fitted.sums[kept], freedom(self.batch))
         self.lost, self.count = int((~kept).sum()), int(freedom(self.batch).sum())
         self._refitted: tuple[Tensor, Fitted] | None = None  # cache for the last parameters
         self._linear: tuple[Tensor, Fitted, Linearised] | None = None
+
+    def fit(
+        self, trial: Trial, starts: Tensor | None, batch: Segment, steps: Steps, hopeless: float
+    ) -> Fitted:
+        """Fit the initial states of all segments, from approximate ones (B, D) or from measurements."""
+        if starts is None:
+            return fit_starts(trial, guess(batch), batch, steps, hopeless)
+        return refine(trial, starts, batch, steps, FOLLOWING, SURE)
 
     @property
     def cost(self) -> Tensor:

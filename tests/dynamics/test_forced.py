@@ -206,6 +206,8 @@ def test_jacobians_of_steps_in_closed_form_are_those_of_reverse_mode(hamiltonian
         {"kind": "central_attraction", "mu": 1.7},
         {"kind": "oblateness", "mu": 1.7, "radius": 0.5, "j2": 0.1},
         {"kind": "network", "sees": ["q", "v", "t", "u"]},
+        {"kind": "orbital", "mu": 1.7, "radius": 0.5, "degree": 3},
+        {"kind": "elliptic_equator", "mu": 1.7, "radius": 0.5, "angle": 0.4, "rate": 0.7},
     ],
     ids=lambda options: "-".join(map(str, options.values()))[:24],
 )

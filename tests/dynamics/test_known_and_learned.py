@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -11,6 +13,7 @@ from ahnn.clock import Clock, extended
 from ahnn.dynamics import make_dynamics
 from ahnn.dynamics.forces import Instant, make_force
 from ahnn.errors import UserError
+from ahnn.systems.gravity import ggm05c
 
 DOUBLE = {"dtype": torch.float64}
 SUN = 2.959122082855911e-4
@@ -68,6 +71,13 @@ def test_the_moon_pulls_a_satellite_with_the_difference_of_two_attractions():
         expected = expected + mu * AU**3 / 86400**2 * pulls
     close(force(instant(t, q)), expected, 1e-7)
     assert bool(force(instant([-4e4, 2e5], q[:2])).isnan().all())
+    at, by = (
+        instant(t + 1e3, q),
+        instant(*(torch.randn(*s, generator=generator(1), **DOUBLE) for s in ((5, 2), (5, 2, 3)))),
+    )
+    rows = Instant(*(part.unsqueeze(1) for part in at))
+    ahead, back = (force(Instant(*(a + h * b for a, b in zip(rows, by, strict=True)))) for h in (10.0, -10.0))
+    close(force.variation(at, by), (ahead - back) / 20, 1e-5)
 
 
 @pytest.mark.parametrize(
@@ -95,6 +105,7 @@ PULL = {"planet": {"kind": "central_attraction", "mu": 2.0}}
         ("central_body", 2.0, None),
         ("mechanical", None, PULL),
         ("mechanical", None, {**PULL, "rest": {"kind": "network", "sees": ["q", "v"]}}),
+        ("mechanical", None, {**PULL, "rest": {"kind": "orbital", "mu": 2.0, "radius": 1.0}}),
     ],
 )
 def test_a_model_with_known_physics_begins_at_it(hamiltonian, mu, forces):
@@ -118,3 +129,60 @@ def test_a_model_that_learns_all_does_not(hamiltonian, forces):
     assert not made.begins_known
     clock = Clock(x[:, :0], x[:, :0])
     assert float(made.field(extended(x, clock)).detach().norm()) > 0
+
+
+def test_a_force_in_axes_of_an_orbit_sees_its_eccentricity_and_anomaly():
+    """On an ellipse in a tilted plane, each coefficient in turn against the axes of its anomaly."""
+    mu, e, f = 2.0, 0.6, torch.linspace(0.1, 6.0, 12, **DOUBLE)
+    plane = torch.linalg.qr(torch.randn(3, 3, generator=generator(2), **DOUBLE)).Q
+    plane = plane * torch.linalg.det(plane).sign()
+    radial = torch.stack((f.cos(), f.sin(), 0 * f), -1) @ plane.T
+    along = torch.stack((-f.sin(), f.cos(), 0 * f), -1) @ plane.T
+    normal = plane[:, 2].expand(12, 3)
+    r = (1.3 / (1 + e * f.cos())).unsqueeze(-1)
+    speed = (mu / 1.3) ** 0.5
+    v = speed * (e * f.sin().unsqueeze(-1) * radial + (1 + e * f.cos()).unsqueeze(-1) * along)
+    force = make_force("rest", 3, 0, {"kind": "orbital", "mu": mu, "radius": 0.5, "falloff": 3}).double()
+    for row, (i, j) in enumerate(force.powers):
+        for column, axis in enumerate((radial, along, normal)):
+            force.coefficients.data.zero_()[row, column] = 0.1
+            size = 0.1 * mu / r**2 * (0.5 / r) ** 3 * ((e * f.cos()) ** i * (e * f.sin()) ** j).unsqueeze(-1)
+            close(force(instant(f, r * radial, v)).detach(), size * axis, 1e-13)
+
+
+@pytest.mark.parametrize("learned", [True, False])
+def test_an_elliptic_equator_is_the_sectorial_part_of_a_field_in_axes_that_turn(learned):
+    field = ggm05c("tide_free").cut(2, 2)
+    only = np.zeros((3, 3)), np.zeros((3, 3))
+    for part, whole in zip(only, (field.cosines, field.sines), strict=True):
+        part[2, 2] = whole[2, 2]
+    field = replace(field, cosines=only[0], sines=only[1])
+    c, s = ((5 / 12) ** 0.5 * float(part[2, 2]) for part in only)
+    options = {"kind": "elliptic_equator", "mu": field.mu, "radius": field.radius, "angle": 0.3, "rate": 0.7}
+    force = make_force("e", 3, 0, options if learned else {**options, "cosine": c, "sine": s}).double()
+    if learned:
+        force.harmonics.data.copy_(torch.tensor([c, s], **DOUBLE))
+        close(torch.stack([*force.constants().values()]), torch.tensor([c, s], **DOUBLE), 1e-15)
+    t, q = torch.arange(4.0, **DOUBLE), 9e3 * torch.randn(4, 3, generator=generator(4), **DOUBLE)
+    for k in range(4):
+        a = 0.3 + 0.7 * float(t[k])
+        turn = torch.tensor([[np.cos(a), np.sin(a), 0], [-np.sin(a), np.cos(a), 0], [0, 0, 1]], **DOUBLE)
+        close(force(instant(t, q))[k].detach(), turn.T @ field.attraction(turn @ q[k]), 1e-11)
+    with torch.no_grad():
+        force.silence()
+    assert bool((force(instant(t, q)) == 0).all()) is learned
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"kind": "orbital", "mu": 1.0, "radius": 1.0}, "orbital: expected three coordinates; received 2"),
+        (
+            {"kind": "elliptic_equator", "mu": 1.0, "radius": 1.0, "angle": 0.0, "rate": 1.0, "sine": 1e-6},
+            "both cosine and sine or neither; received 2, None and 1e-06",
+        ),
+    ],
+)
+def test_forces_about_a_planet_refuse_planes_and_halves_of_a_harmonic(options, said):
+    with pytest.raises(UserError, match=said):
+        make_force("f", 2, 0, options)

@@ -9,7 +9,7 @@ import scipy.stats
 import torch
 
 from ahnn.estimation.consistency import GAUSSIAN, band, coverage, independent_count, nees, share_within
-from ahnn.estimation.consistency_bands import Judged
+from ahnn.estimation.consistency_bands import Judged, nis_at_times
 from ahnn.numbers import chi_square_quantile
 
 F64 = torch.float64
@@ -154,3 +154,15 @@ def test_a_mean_that_an_exact_start_makes_low_is_no_finding():
     assert str(low) == "1 not in 1.5 to 2.5"
     assert right.of_exact_starts() == str(right) == "2 in 1.5 to 2.5"
     assert high.of_exact_starts() == "3 not in 1.5 to 2.5"
+
+
+def test_the_nis_of_sensors_that_see_a_part_is_judged_by_what_they_measured():
+    """Against sums of squares and quantiles of scipy.stats."""
+    values = torch.tensor([[3.0, torch.nan, 8.0], [5.0, torch.nan, torch.nan]], dtype=torch.float64)
+    measured = torch.tensor([[3, 2, 6], [1, 3, 0]])
+    ratio, low, high = nis_at_times(values, measured)
+    assert ratio.tolist()[::2] == pytest.approx([8 / 4, 8 / 6])
+    for k, count in ((0, 4), (2, 6)):
+        expected = scipy.stats.chi2.ppf([0.025, 0.975], count) / count
+        assert [float(low[k]), float(high[k])] == pytest.approx(expected.tolist(), rel=1e-10)
+    assert bool(torch.stack((ratio, low, high))[:, 1].isnan().all())

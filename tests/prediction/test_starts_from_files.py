@@ -52,7 +52,7 @@ def deviations(row):
         ({}, ["frame=[TEME,EARTH]"], "expected frame TEME, that of the model; received EME2000"),
         ({"frame": "TNW"}, ["frame=[GCRF]"], "expected frame GCRF, that of the model; received TNW"),
         ({"clock": "UT1"}, ["frame=[EME2000,EARTH,UTC]"], "time system: expected UT1, or two of UTC"),
-        ({}, ["epoch=2024-03-01T12:00:00"], "epoch: expected none, since the file of the start has its own"),
+        ({}, ["epoch=2024-03-01T12:00:00"], "epoch: expected none, since the start file has its own"),
         ({"axes": "TNW"}, [], "expected a covariance in EME2000 or RTN; received one in TNW"),
     ],
 )

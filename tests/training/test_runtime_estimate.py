@@ -44,12 +44,12 @@ class Data:
 
 @pytest.mark.parametrize(
     ("first", "closing", "last"),
-    [(Shooting(4), 0, 150), (Shooting(4), 3, 300), (Weak(), 0, 700), (Weak(), 3, 1750)],
+    [(Shooting(4), 0, 270), (Shooting(4), 3, 420), (Weak(), 0, 1540), (Weak(), 3, 2590)],
 )
 def test_last_steps_and_the_covariance_count_by_all_measurements(first, closing, last, monkeypatch):
     """A step of 10 takes 1 s; a pass of shooting over all follows, then halves where starts fit soon."""
     monkeypatch.setattr(runtime_estimate, "step_seconds", lambda *_: 1.0)
-    monkeypatch.setattr(runtime_estimate, "_shooting_seconds", lambda *_: 0.7)
+    monkeypatch.setattr(runtime_estimate, "shooting_seconds", lambda *_: 0.7)
     at = lambda epoch, epochs: first if (epoch, epochs) == (0, 2) else None  # noqa: E731
     curriculum = SimpleNamespace(at=at, closing=closing)
     model, trainer = SimpleNamespace(curriculum=curriculum), SimpleNamespace(callbacks=[])
@@ -110,7 +110,7 @@ def test_last_steps_are_timed_on_the_beginnings_of_some_trajectories(rows, sampl
     )
     model = SimpleNamespace(dynamics=Swing(2.5, 0.5))
     count = min(rows, runtime_estimate.STRETCHES) * min(samples, runtime_estimate.STRETCH + 1)
-    assert runtime_estimate._shooting_seconds(model, data) == pytest.approx(6.0 / count, rel=1e-12)  # pyright: ignore
+    assert runtime_estimate.shooting_seconds(model, data) == pytest.approx(6.0 / count, rel=1e-12)  # pyright: ignore
     batch, asked = seen
     assert batch.values.shape == (*batch.times.shape, 1)
     assert batch.times.numel() == count

@@ -12,9 +12,11 @@ from ahnn.arguments import check_arguments
 from ahnn.dynamics.forces.actuation import Actuation
 from ahnn.dynamics.forces.attraction import CentralAttraction, Oblateness
 from ahnn.dynamics.forces.base import Force, Instant
+from ahnn.dynamics.forces.equator import EllipticEquator
 from ahnn.dynamics.forces.forcing import Forcing
 from ahnn.dynamics.forces.friction import Friction
 from ahnn.dynamics.forces.network import NetworkForce
+from ahnn.dynamics.forces.orbital import OrbitalForce
 from ahnn.dynamics.forces.spring import Spring
 from ahnn.dynamics.forces.third_bodies import ThirdBodies
 from ahnn.errors import UserError
@@ -31,6 +33,8 @@ FORCES: Table[Callable[..., Force]] = Table(
         "central_attraction": CentralAttraction,
         "oblateness": Oblateness,
         "third_bodies": ThirdBodies,
+        "elliptic_equator": EllipticEquator,
+        "orbital": OrbitalForce,
     },
 )
 """Registered forces by name; called with `dof`, `controls` and options."""
@@ -68,12 +72,14 @@ __all__ = [
     "FORCES",
     "Actuation",
     "CentralAttraction",
+    "EllipticEquator",
     "Force",
     "Forcing",
     "Friction",
     "Instant",
     "NetworkForce",
     "Oblateness",
+    "OrbitalForce",
     "Spring",
     "ThirdBodies",
     "make_force",

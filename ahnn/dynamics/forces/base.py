@@ -7,7 +7,7 @@ from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor, nn
-from torch.func import jacrev, vmap
+from torch.func import vjp
 
 from ahnn.statistics import Statistics
 
@@ -44,6 +44,9 @@ class Force(nn.Module, ABC):
     def fit(self, statistics: Statistics) -> None:
         """Set scalings, units and initial values from the training split."""
 
+    def silence(self) -> None:
+        """Set a learned force to zero, from which it can grow; by default it stays."""
+
     @abstractmethod
     def forward(self, at: Instant) -> Tensor:
         """Return the force, shape (..., n)."""
@@ -55,12 +58,10 @@ class Force(nn.Module, ABC):
             at: arguments of the force, B of each.
             by: variations of the arguments, (B, R, ...). The default uses reverse mode.
         """
-        sizes = [part.shape[-1] for part in at]
-
-        def of_row(row: Tensor) -> Tensor:
-            return self(Instant(*row.split(sizes, dim=-1)))
-
-        return torch.cat(by, dim=-1) @ vmap(jacrev(of_row))(torch.cat(at, dim=-1)).mT
+        sizes, x = [part.shape[-1] for part in at], torch.cat(at, dim=-1)
+        value, pull, *_ = vjp(lambda rows: self(Instant(*rows.split(sizes, dim=-1))), x)
+        units = torch.eye(value.shape[-1]).to(value).unbind()
+        return torch.cat(by, dim=-1) @ torch.stack([pull(one.expand_as(value))[0] for one in units], dim=-1)
 
     def constants(self) -> dict[str, Tensor]:
         """Return learned physical constants by name, computed from the parameters."""

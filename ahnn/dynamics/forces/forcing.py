@@ -61,6 +61,11 @@ class Forcing(Force):
         if self.known is None:
             self.unit.copy_(statistics.rate.chunk(2)[1])
 
+    def silence(self) -> None:
+        """Set learned amplitudes to zero."""
+        if self.known is None:
+            self.amplitudes.zero_()
+
     def amplitude(self, like: Tensor) -> Tensor:
         """Return a and b, shape (2, n)."""
         if self.known is not None:

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from ahnn.arguments import checked
 from ahnn.dynamics.forces.base import Force, Instant
+from ahnn.dynamics.layered import silence
 from ahnn.dynamics.networks import make_network
 from ahnn.dynamics.scaling import Affine
 from ahnn.errors import UserError
@@ -62,6 +63,10 @@ class NetworkForce(Force):
         seen = torch.cat([parts[name] for name in self.sees], dim=-1)
         self.scaling.fit(seen.amin(0), seen.amax(0))
         self.unit.copy_(statistics.forces.square().mean(0).sqrt())
+
+    def silence(self) -> None:
+        """Set the force to zero."""
+        silence(self)
 
     def forward(self, at: Instant) -> Tensor:
         """Return the force, shape (..., n)."""

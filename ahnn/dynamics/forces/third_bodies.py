@@ -90,13 +90,19 @@ class ThirdBodies(Force):
 
     def places(self, t: Tensor) -> Tensor:
         """Return where the bodies are at times (..., 1), (..., J, 3); NaN beyond the span."""
+        return self._motion(t)[0]
+
+    def _motion(self, t: Tensor) -> tuple[Tensor, Tensor]:
+        """Return places and velocities at times (..., 1), (..., J, 3) each; NaN beyond the span."""
         since = (t[..., 0].double() - self.begin) / self.spacing
         node = since.floor().clamp(0, self.nodes - 2)
         s = (since - node)[..., None, None]
         k, table = node.long(), self.table.to(t.device)
         (a, da), (b, db) = (table[j].unbind(-2) for j in (k, k + 1))
-        found = a + s * (da + s * ((3 * (b - a) - 2 * da - db) + s * (2 * (a - b) + da + db)))
-        return found.where((s >= 0) & (s <= 1), torch.nan)
+        square, cube = 3 * (b - a) - 2 * da - db, 2 * (a - b) + da + db
+        inside = (s >= 0) & (s <= 1)
+        place, velocity = a + s * (da + s * (square + s * cube)), da + s * (2 * square + 3 * s * cube)
+        return place.where(inside, torch.nan), velocity.where(inside, torch.nan) / self.spacing
 
     def forward(self, at: Instant) -> Tensor:
         """Return the force, shape (..., 3)."""
@@ -106,6 +112,22 @@ class ThirdBodies(Force):
         direct = (line / far.clamp(min=self.own) ** 3).where(far > self.own, 0.0)
         pulls = direct - body / body.norm(dim=-1, keepdim=True) ** 3
         return (self.strengths.to(body.device).unsqueeze(-1) * pulls).sum(-2).to(at.q)
+
+    def variation(self, at: Instant, by: Instant) -> Tensor:
+        """Return the variation with place and time, shape (B, R, 3)."""
+        body, velocity = (part.unsqueeze(1) for part in self._motion(at.t))  # (B, 1, J, 3)
+        shift = velocity * by.t.unsqueeze(-1) if by.t.shape[-1] else torch.zeros_like(body)
+        line = body - at.q[:, None, None]
+        far = line.norm(dim=-1, keepdim=True)
+        direct = _varied_pull(line, shift - by.q.unsqueeze(-2)).where(far > self.own, 0.0)
+        pulls = direct - _varied_pull(body, shift)
+        return (self.strengths.to(body.device).unsqueeze(-1) * pulls).sum(-2).to(at.q)
+
+
+def _varied_pull(line: Tensor, by: Tensor) -> Tensor:
+    """Return the variation of line / |line|^3, (..., 3)."""
+    square = line.square().sum(-1, keepdim=True)
+    return (by - 3 * (line * by).sum(-1, keepdim=True) / square * line) / square**1.5
 
 
 def opened(names: list[str], epoch: float, days: NDArray[np.float64]) -> Any:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from ahnn.estimation.consistency import band
+from ahnn.estimation.consistency_bands import nis_at_times
 from ahnn.estimation.scenario import Setting
 from ahnn.evaluation import Case, style
 from ahnn.evaluation.case import Start
@@ -139,8 +140,12 @@ def error_against_band(case: Case, chosen: Chosen, start: Start) -> Figure:
     return figure
 
 
+MARKS = {("perturbed", True): "s", ("perturbed", False): "o", ("true", False): "x"}
+"""Marks of NIS, which are independent of one another: no line leads from one to the next."""
+
+
 def consistency(case: Case, setting: Setting, chosen: Chosen) -> Figure:
-    """Plot NEES and NIS, averaged over trajectories, over time with their 95 % bands."""
+    """Plot NEES, and NIS per measured number, over all trajectories over time with their 95 % bands."""
     figure = style.canvas(8, 6.6)
     panels = figure.subplots(2, 1, sharex=True)
     axis, members = style.time_axis(case), len(case.test.states)
@@ -154,13 +159,16 @@ def consistency(case: Case, setting: Setting, chosen: Chosen) -> Figure:
             continue
         outcome, label = chosen[key], f"{_label_of(chosen[key], case)}, {key[0]} start"
         panels[0].plot(axis.time, outcome.nees.nanmean(0), **(look | {"lw": 1.3}), label=label)
-        nis = outcome.result.nis.nanmean(0)
-        there = nis.isfinite()
-        panels[1].plot(axis.time[1:][there], nis[there], **(look | {"lw": 1.3}), marker=".", label=label)
-    titles = (("NEES", case.test.states.shape[-1]), ("NIS", len(setting.measurement.names)))
-    for axes, (quantity, count) in zip(panels, titles, strict=True):
-        axes.axhspan(*band(count, members), color=style.BAND, alpha=0.45, lw=0, label="95 % band")
-        axes.set_ylabel(f"mean {quantity} ({count} if consistent)")
+        nis, *_ = nis_at_times(outcome.result.nis, outcome.result.measured)
+        panels[1].plot(axis.time[1:], nis, **(look | {"ls": "none"}), marker=MARKS[key], ms=4, mfc="none")
+    size, first = case.test.states.shape[-1], next(iter(chosen.values())).result
+    _, low, high = nis_at_times(first.nis, first.measured)
+    times, there = axis.time[1:], low.isfinite()
+    shown = {"color": style.BAND, "alpha": 0.45, "lw": 0}
+    panels[0].axhspan(*band(size, members), label="95 % band", **shown)
+    panels[1].fill_between(times[there], low[there], high[there], **shown)  # many sensors see a part of all
+    panels[0].set_ylabel(f"mean NEES ({size} if consistent)")
+    panels[1].set_ylabel("NIS per measured number\n(1 if consistent)")
     style.logarithmic(panels[0], setting.first)
     style.logarithmic(panels[1], 0)
     style.legend_below(figure, panels[0])

@@ -18,7 +18,7 @@ from ahnn.estimation.consistency import (
     nees,
     share_within,
 )
-from ahnn.estimation.consistency_bands import Judged, judged_nees, judged_nis
+from ahnn.estimation.consistency_bands import Judged, judged_nees, judged_nis, nis_at_times
 from ahnn.estimation.estimator import Smoothed
 from ahnn.estimation.results import FilterResult
 from ahnn.estimation.scenario import Problem, Setting
@@ -214,24 +214,29 @@ def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
 
     Means are over trajectories and over times from the first update on; `band_95` is the 95 % band of such a
     mean for a consistent filter. `in_band` is the fraction of times at which the mean over trajectories is
-    within its band, `one_time_band_95`. `nees_of_phases` is the NEES by `System.phases`, `nees_of_start` that
-    at time zero.
+    within its band, `one_time_band_95` of the NEES; that of the NIS counts the numbers measured at the time.
+    `nees_of_phases` is the NEES by `System.phases`, `nees_of_start` that at time zero.
     """
     result, first = outcome.result, outcome.first
     error = outcome.estimate - case.test.states
     after = slice(first, None)
     members = len(outcome.nees) - outcome.lost
-    width = result.innovations.shape[-1]
+    one_time = band(error.shape[-1], members)
     kept = result.nis.masked_fill(result.rejected, torch.nan)
-    one_time = {"nees": band(error.shape[-1], members), "nis": band(width, members)}
+    at_times, low, high = nis_at_times(kept, result.measured)
+    within = ((at_times >= low) & (at_times <= high))[at_times.isfinite()]
     shares = coverage(error[:, after], deviations(outcome.chol[:, after]))
     return {
         "whole_arc": case.score(outcome.estimate)._asdict(),
         "from_first_update": case.score(outcome.estimate, first)._asdict(),
-        "nees": _series(outcome.nees[:, after], _nees(outcome), one_time["nees"]),
+        "nees": _plain(_nees(outcome))
+        | {
+            "one_time_band_95": list(one_time),
+            "in_band": share_within(outcome.nees[:, after].nanmean(0), one_time),
+        },
         "nees_of_start": _plain(judged_nees(outcome.nees[:, :1], error.shape[-1])),
         "nees_of_phases": {name: _plain(mean) for name, mean in _phases(outcome, case).items()},
-        "nis": _series(kept, judged_nis(result), one_time["nis"]),
+        "nis": _plain(judged_nis(result)) | {"in_band": float(within.double().mean())},
         "coverage": {f"{k}_sigma": {"share": shares[k], "gaussian": p} for k, p in GAUSSIAN.items()},
         "status": {status.name: int((result.status == status).sum()) for status in Status},
         "failed_steps": result.failed_step[result.failed_step >= 0].tolist(),
@@ -239,15 +244,6 @@ def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
         "rejected_measurements": int(result.rejected.sum()),
         "log_likelihood": float(result.log_likelihood.mean()),
         **outcome.more,
-    }
-
-
-def _series(values: Tensor, judged: Judged, one_time: tuple[float, float]) -> dict[str, Any]:
-    """Return mean, bands and fraction of times in the band of values (B, T)."""
-    series = values.nanmean(0)
-    return _plain(judged) | {
-        "one_time_band_95": list(one_time),
-        "in_band": share_within(series, one_time),
     }
 
 

@@ -168,7 +168,7 @@ class EstimatorEvaluation:
                 outcomes += self._outcomes(who._replace(start=start), chosen, case, setting, problem)
         samples, clock = case.test.states.shape[1], case.test.clock(clock_of(case.flow))
         without: dict[Start, Tensor] = {
-            start: rollout(case.flow, problem.starts, case.dt, samples, clock=clock)
+            start: rollout(case.flow, problem.starts, case.dt, samples, case.label, clock=clock)
             for start, problem in problems.items()
         }
         scores = {start: case.score(prediction) for start, prediction in without.items()}

@@ -111,8 +111,10 @@ def roles_of(
             target[kind] = k, halved * factor_of(kind, unit, where)
     if not values:
         place.refuse(f"a column of {', '.join(KINDS)}", ", ".join(names))
-    sds = {kind: said.deviations.get(groups[kind]) for kind in values}
-    stated: dict[Kind, float] = {kind: sd * values[kind][1] for kind, sd in sds.items() if sd is not None}
+    stated = dict[Kind, float]()
+    for kind, (_, factor) in values.items():
+        if (sd := said.deviations.get(groups[kind])) is not None:
+            stated[kind] = sd * factor
     return SightingColumns(time, station, clock, one[2][0] if one[2] else None, values, deviations, stated)
 
 
@@ -124,7 +126,7 @@ def factor_of(kind: Kind, unit: str | None, place: Place) -> float:
     try:
         return units.factor(unit, UNITS[kind])
     except ValueError:
-        place.refuse(f"{kind} in {UNITS[kind]}, or a unit that fits it", repr(unit))
+        place.refuse(f"{kind} in {UNITS[kind]}, or a compatible unit", repr(unit))
 
 
 def reading_of(cells: list[str], place: Place, roles: SightingColumns) -> TrackingReading:

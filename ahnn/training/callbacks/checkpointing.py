@@ -12,7 +12,7 @@ from lightning import LightningModule, Trainer
 from lightning.pytorch.callbacks import Checkpoint
 
 from ahnn.arguments import Count, checked
-from ahnn.errors import Stopped, UserError
+from ahnn.errors import TERMINATIONS, Stopped, UserError
 from ahnn.training.finite import require_finite_loss, require_finite_weights
 
 MONITORED = ("val/loss", "val/one_step")
@@ -100,7 +100,7 @@ class ResumePoint(Checkpoint):
         del pl_module
         if trainer.world_size > 1 or threading.current_thread() is not threading.main_thread():
             return
-        for number in (signal.SIGTERM, signal.SIGHUP):
+        for number in TERMINATIONS:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 self._before[number] = signal.signal(number, self._request)
 

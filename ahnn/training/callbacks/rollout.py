@@ -31,7 +31,7 @@ class ValidationRollout(Callback):
     a distance of the system size from the truth, and an RMSE would select weights by chance.
 
     Measurements have no true initial state for a rollout: training on them logs nothing, and selects weights
-    by `val/loss`.
+    by `val/loss`. So does one on windows that are whole trajectories, whose loss is that of predictions.
 
     Args:
         count: number of trajectories; 0 logs nothing.
@@ -45,11 +45,7 @@ class ValidationRollout(Callback):
 
     def seconds(self, epoch: int, trainer: Trainer, module: LightningModule, data: WindowDataModule) -> float:
         """Estimate the time per epoch from a few measured rollout steps."""
-        if (
-            self.count == 0
-            or data.stages is not None
-            or ((epoch + 1) % self.every and epoch + 1 != trainer.max_epochs)
-        ):
+        if self._silent(data) or ((epoch + 1) % self.every and epoch + 1 != trainer.max_epochs):
             return 0.0
         if self._measured is None:
             flow, whole = _flow(module), data.trajectories("val").part(slice(self.count))
@@ -77,12 +73,17 @@ class ValidationRollout(Callback):
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Log the value of this epoch, or the latest one; the last epoch always computes one."""
         data = cast(Any, trainer).datamodule
-        if self.count == 0 or data.stages is not None:
+        if self._silent(data):
             return
         epoch = trainer.current_epoch + 1
         if trainer.sanity_checking or epoch % self.every == 0 or epoch == trainer.max_epochs:
             self.latest = self._error(trainer, pl_module)
         pl_module.log("val/rollout", self.latest, logger=False, sync_dist=True)
+
+    def _silent(self, data: WindowDataModule) -> bool:
+        if self.count == 0 or data.stages is not None:
+            return True
+        return data.window + 1 == data.trajectories("val").states.shape[1]
 
     def _error(self, trainer: Trainer, pl_module: LightningModule) -> float:
         """Return the typical error of rollouts from true initial states of a few validation trajectories."""

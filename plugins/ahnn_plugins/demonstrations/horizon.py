@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ahnn.arguments import Count, Positive, Seed, checked
 from ahnn.dynamics.fields import HamiltonianDynamics
+from ahnn.dynamics.recorded_flow import recorded
 from ahnn.errors import UserError
 from ahnn.evaluation import Case, Findings, Row, Who, style
 from ahnn.rollouts import clock_of, rollout
@@ -92,11 +93,11 @@ class Horizon:
 
     def flows(self, case: Case) -> dict[str, Flow]:
         """Return the flows by name, the learned one first."""
-        found: dict[str, Flow] = {case.label: case.flow}
+        found: dict[str, Flow] = {case.label: recorded(case.flow)}
         if isinstance(case.flow, HamiltonianDynamics) and case.flow.begins_known:
             alone = copy.deepcopy(case.flow)
             alone.silence()
-            found[KNOWN] = alone
+            found[KNOWN] = recorded(alone)
         if self.beside is not None:
             found[self.beside.name] = exact_flow(self.beside)
         return found | {TWO_BODY: self._two_body}

@@ -6,12 +6,13 @@ joined with the next one.
 
 from __future__ import annotations
 
-import fcntl
 import json
 import math
 import os
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
+
+from ahnn.locks import lock
 
 
 class Record:
@@ -31,7 +32,7 @@ class Record:
         if not self.path.exists():
             return []
         with self.path.open("rb") as file:
-            fcntl.flock(file, fcntl.LOCK_SH)
+            lock(file)
             lines = file.read().splitlines()
         rows = [row for row in map(_parsed, lines) if row is not None]
         return [float(row["loss"]) for row in rows if row["group"] == self.group]
@@ -42,14 +43,16 @@ class Record:
             return
         line = json.dumps({"group": self.group, "run": run, "loss": loss}).encode() + b"\n"
         with self.path.open("ab+") as file:
-            fcntl.flock(file, fcntl.LOCK_EX)
-            file.write(line if _ends_a_line(file.fileno()) else b"\n" + line)
+            lock(file)
+            file.write(line if _ends_a_line(file) else b"\n" + line)
 
 
-def _ends_a_line(descriptor: int) -> bool:
+def _ends_a_line(file: IO[bytes]) -> bool:
     """Return whether the file is empty or its last byte is a line feed."""
-    size = os.fstat(descriptor).st_size
-    return size == 0 or os.pread(descriptor, 1, size - 1) == b"\n"
+    if file.seek(0, os.SEEK_END) == 0:
+        return True
+    file.seek(-1, os.SEEK_END)
+    return file.read(1) == b"\n"
 
 
 def _parsed(line: bytes) -> dict[str, Any] | None:

@@ -68,6 +68,7 @@ class Drawing(NamedTuple):
         caption: content and runs, with the corresponding figure of the paper.
         panels: panels from top to bottom.
         kind: `lines`; `orbit`, one panel in three dimensions; or `bars`, dots with their spread.
+        spread: what bands or bars show, below the title; "" without them.
     """
 
     name: str
@@ -75,3 +76,4 @@ class Drawing(NamedTuple):
     caption: str
     panels: tuple[Panel, ...]
     kind: Kind = "lines"
+    spread: str = ""

@@ -103,7 +103,7 @@ def mean_and_spread(sample: Sample, scale: float = 1.0) -> str:
         return NONE
     lost = sum(not math.isfinite(value) for value in sample.values)
     if lost:
-        return f"lost in {lost} of {len(sample.values)}"
+        return f"lost in {lost} of {len(sample.values)}" if len(sample.values) > 1 else "lost"
     mean = shown(sample.mean / scale)
     least = -3 if "×" in mean else -7  # both in the same notation
     return mean if sample.spread is None else f"{mean} ± {shown(sample.spread / scale, 2, least)}"

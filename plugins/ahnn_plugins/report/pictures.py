@@ -73,7 +73,7 @@ def _figure(picture: Picture) -> Markup:
     parts = (
         tag("h4", drawing.title),
         tag("div", picture.html, class_="drawing"),
-        tag("figcaption", drawing.caption),
+        tag("figcaption", f"{drawing.spread} {drawing.caption}".strip()),
     )
     return tag("figure", *parts, id=f"figure-{safe_name(drawing.name)}")
 

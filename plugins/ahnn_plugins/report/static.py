@@ -49,7 +49,7 @@ def to_matplotlib(drawing: Drawing) -> Figure:
     for column in grid.T:
         column[-1].set_xlabel(_plain(drawing.panels[0].x))
     _legend(figure, places[:count])
-    figure.suptitle(_plain(drawing.title), fontsize=11)
+    figure.suptitle(_plain("\n".join(filter(None, (drawing.title, drawing.spread)))), fontsize=11)
     return figure
 
 

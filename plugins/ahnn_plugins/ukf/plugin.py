@@ -29,7 +29,7 @@ class UKFEvaluation(EstimatorEvaluation):
     """Unscented Kalman filter with the model as process model, and with the exact dynamics.
 
     Args:
-        cadence: this and undocumented arguments as in `EstimatorEvaluation`.
+        cadence: this and arguments not listed here: see `EstimatorEvaluation`.
         alpha, beta, kappa: parameters of the sigma points.
         form: form of the covariance.
         smoother: whether to add the rows of the smoother; `iterated` also adds those of the iterated one.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,7 +39,8 @@ def write_best(study: optuna.Study, sweep_dir: Path, config_loader: ConfigLoader
     write_atomically(path, f"# @package _global_\n{head}{text}".encode())
     link = sweep_dir / _NAME
     if not link.is_symlink():
-        link.symlink_to(path.relative_to(sweep_dir))
+        with contextlib.suppress(OSError):  # Windows allows links to administrators alone
+            link.symlink_to(path.relative_to(sweep_dir))
     return path
 
 

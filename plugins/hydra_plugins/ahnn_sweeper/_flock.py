@@ -6,11 +6,13 @@ period of 30 s. The operating system releases this one at once.
 
 from __future__ import annotations
 
-import fcntl
-import os
 import threading
+from pathlib import Path
+from typing import IO, Any
 
 from optuna.storages.journal import JournalFileOpenLock
+
+from ahnn.locks import lock
 
 
 class FileLock(JournalFileOpenLock):
@@ -22,18 +24,19 @@ class FileLock(JournalFileOpenLock):
 
     def __init__(self, path: str) -> None:
         super().__init__(path)
-        self._path = path + ".lock"
+        self._path = Path(path + ".lock")
         self._thread_lock = threading.Lock()
-        self._descriptor = -1
+        self._file: IO[Any] | None = None
 
     def acquire(self) -> bool:
         """Wait for and acquire the lock."""
         self._thread_lock.acquire()
-        self._descriptor = os.open(self._path, os.O_CREAT | os.O_RDWR, 0o666)
-        fcntl.flock(self._descriptor, fcntl.LOCK_EX)
+        self._file = self._path.open("ab")
+        lock(self._file)
         return True
 
     def release(self) -> None:
         """Release the lock."""
-        os.close(self._descriptor)
+        assert self._file is not None
+        self._file.close()
         self._thread_lock.release()

@@ -1,6 +1,7 @@
 """Commands as forks of a process with common imports, equivalent to a fresh start.
 
-The server is that of `multiprocessing`; it forks while single-threaded. It ignores signals that a scheduler
+The server is that of `multiprocessing`; it forks while single-threaded (Windows has none: there each job
+starts afresh). It ignores signals that a scheduler
 sends to all processes, so that it lives until its jobs have ended and their exit codes are known.
 """
 
@@ -15,10 +16,13 @@ import sys
 import threading
 from collections.abc import Sequence
 from multiprocessing.connection import wait
-from multiprocessing.context import ForkServerProcess
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
-_context = multiprocessing.get_context("forkserver")
+if sys.platform == "win32":
+    _context = multiprocessing.get_context("spawn")
+else:
+    _context = multiprocessing.get_context("forkserver")
 _one_thread = threading.Lock()
 """Starting a process reaps all processes: it must not read the exit code awaited by another thread."""
 
@@ -28,7 +32,7 @@ def serve(imports: Sequence[str]) -> None:
     _context.set_forkserver_preload(["hydra_plugins.ahnn_sweeper._held", *imports])
 
 
-def start(program: str, arguments: list[str], log: Path) -> ForkServerProcess:
+def start(program: str, arguments: list[str], log: Path) -> BaseProcess:
     """Start a command with its output in a file.
 
     Args:
@@ -42,7 +46,7 @@ def start(program: str, arguments: list[str], log: Path) -> ForkServerProcess:
     return process
 
 
-def exit_code(process: ForkServerProcess) -> int:
+def exit_code(process: BaseProcess) -> int:
     """Wait for a command and return its exit code, or the number of the signal that killed it, negative."""
     wait([process.sentinel])
     with _one_thread:

@@ -2,4 +2,6 @@
 
 import signal
 
-HANDLERS = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGTERM, signal.SIGHUP)}
+from ahnn.errors import TERMINATIONS
+
+HANDLERS = {number: signal.signal(number, signal.SIG_IGN) for number in TERMINATIONS}

@@ -2,9 +2,9 @@
 
 A trial records the process that requested it (`asked_by`) and, once its job has started, the process of the
 job (`run_by`), each as host, process id and start time. On the same host the process table answers at once,
-and a reused process id is recognised by its start time. For other hosts a lease is used: the owner writes the
-time (`lease`) every `RENEW` seconds, and a lease older than `EXPIRY` means that the owner has died. Clocks of
-machines must therefore agree to within a minute.
+and a reused process id is recognised by its start time. For other hosts, and on Windows, a lease is used: the
+owner writes the time (`lease`) every `RENEW` seconds, and a lease older than `EXPIRY` means that it has died.
+Clocks of machines must therefore agree to within a minute.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from __future__ import annotations
 import logging
 import os
 import socket
+import sys
 import threading
 import time
 from typing import TYPE_CHECKING
@@ -42,8 +43,8 @@ def is_alive(trial: FrozenTrial) -> bool:
     if owner is None:
         return False
     host, pid, start, claimed = owner.split("|")
-    if host == _host():
-        return _start_time(int(pid)) == start != ""
+    if host == _host() and start:
+        return _start_time(int(pid)) == start
     renewed = max(float(claimed), trial.user_attrs.get("lease", 0.0))
     return time.time() - renewed < EXPIRY
 
@@ -105,7 +106,9 @@ def _start_time(pid: int) -> str:
 
 
 def _signalled(pid: int) -> str:
-    """Return `alive` or nothing, on systems without /proc."""
+    """Return `alive` or nothing, on systems without /proc; nothing on Windows, where signal 0 interrupts."""
+    if sys.platform == "win32":
+        return ""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:

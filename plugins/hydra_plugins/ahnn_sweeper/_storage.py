@@ -9,7 +9,6 @@ numbers trials: there the lock is a queue of trials in a study of its own, and w
 
 from __future__ import annotations
 
-import fcntl
 import functools
 import logging
 import time
@@ -21,6 +20,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from ahnn.errors import UserError
+from ahnn.locks import lock
 from hydra_plugins.ahnn_sweeper._owner import Lease, is_alive, this_process
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def exclusive(url: str) -> Iterator[None]:
     else:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.with_name(path.name + ".ask").open("w") as file:
-            fcntl.flock(file, fcntl.LOCK_EX)
+            lock(file)
             yield
 
 

@@ -15,7 +15,7 @@ import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from multiprocessing.context import ForkServerProcess
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
@@ -46,7 +46,7 @@ class ProcessLauncher(Launcher):
         self.imports = [*imports]
         self.config: DictConfig | None = None
         self.hydra_context: HydraContext | None = None
-        self._running: set[ForkServerProcess] = set()
+        self._running: set[BaseProcess] = set()
         self._ended = False
 
     def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:  # noqa: ARG002

@@ -93,6 +93,7 @@ def test_an_epoch_that_is_none_is_named(tmp_path):
         Files("mine", str(tmp_path / "a.csv"))
 
 
+@pytest.mark.filterwarnings("ignore:Testing an element's truth value")  # in the oem package, by Python 3.12
 def test_the_oem_package_reads_what_is_written_and_is_read_itself(tmp_path):
     oem = pytest.importorskip("oem")
     start, (t, states) = instant("2024-03-01T12:00:00", utc=True), orbit()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import statistics
+
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
@@ -138,7 +140,9 @@ def test_scores_stand_beside_the_floor_and_the_paper(springs):
     assert ours.y.tolist() == pytest.approx([sum(values) / 2])
     assert ours.low is not None
     assert ours.high is not None
-    assert ours.low.tolist() + ours.high.tolist() == pytest.approx(values)
+    mean, deviation = statistics.fmean(values), statistics.stdev(values)
+    assert [*ours.low.tolist(), *ours.high.tolist()] == pytest.approx([mean - deviation, mean + deviation])
+    assert "± standard deviation" in drawn(springs)["mass_spring_rmse_true"].spread
     (paper,) = [s for s in panel.series if s.role == "paper"]
     assert 9.173e-3 in paper.y.tolist()
     windows = drawn(springs)["mass_spring_windows"].panels[0]

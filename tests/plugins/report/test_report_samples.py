@@ -86,6 +86,7 @@ def test_samples_and_ratios_are_written_with_what_is_known():
     assert mean_and_spread(Sample((0.00643, 0.00656))) == "0.00649 ± 0.000092"
     assert mean_and_spread(Sample((2.0,))) == "2.00"
     assert mean_and_spread(Sample((1.0, INF, NAN))) == "lost in 2 of 3"
+    assert mean_and_spread(Sample((INF,))) == "lost"
     assert mean_and_spread(Sample(())) == "–"
     assert interval(Ratio(2.0, 1.0, 4.0)) == "2.00 [1.00, 4.00]"
     assert interval(Ratio(2.0)) == "2.00"

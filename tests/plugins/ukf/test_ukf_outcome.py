@@ -95,7 +95,11 @@ def test_bands_count_the_members_that_are_left(tmp_path, lost):
     assert told["nees"]["mean"] == pytest.approx(float(settled[settled.isfinite()].mean()), rel=1e-12)
     assert told["nees"]["one_time_band_95"] == pytest.approx(limits(SIZE, left), rel=1e-12)
     assert told["nees"]["band_95"] == pytest.approx(limits(SIZE, independent_count(settled)), rel=1e-12)
-    assert told["nis"]["one_time_band_95"] == pytest.approx(limits(WIDTH, left), rel=1e-12)
+    at_times = made.result.nis.masked_fill(made.result.rejected, torch.nan)[:, 7::8]
+    means = at_times.nanmean(0)
+    bands = [limits(WIDTH, int(n)) for n in at_times.isfinite().sum(0)]
+    held = [low <= mean <= high for mean, (low, high) in zip(means.tolist(), bands, strict=True)]
+    assert told["nis"]["in_band"] == pytest.approx(sum(held) / len(held))
     low, high = limits(SIZE, left)
     series = settled.nanmean(0)
     expected = float(((series >= low) & (series <= high)).double().mean())

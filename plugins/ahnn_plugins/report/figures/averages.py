@@ -49,7 +49,8 @@ def _norms(task: Task, prefix: str, start: str) -> Drawing:
         for block, (name, unit) in enumerate(_blocks(task.lead))
     ]
     name = f"averages_{'ukf_' if prefix else ''}{start}"
-    return task.drawing(name, _title(task, prefix, start, dof == 1), _caption(task, start), panels)
+    title, caption = _title(task, prefix, start, dof == 1), _caption(task, start)
+    return task.drawing(name, title, caption, panels, spread=task.spread())
 
 
 def _components(task: Task, prefix: str, start: str) -> Drawing:
@@ -57,7 +58,7 @@ def _components(task: Task, prefix: str, start: str) -> Drawing:
     panels = [_panel(task, f"{prefix}{start}", i, label, smoothed) for i, label in enumerate(labels)]
     name = f"averages_{'ukf_' if prefix else ''}{start}_components"
     title = f"{_title(task, prefix, start, True)}, by component"
-    return task.drawing(name, title, _caption(task, start, "component"), panels)
+    return task.drawing(name, title, _caption(task, start, "component"), panels, spread=task.spread())
 
 
 def _unsmoothed(task: Task, start: str) -> Drawing:
@@ -122,5 +123,5 @@ def _caption(task: Task, start: str, what: str = "norm") -> str:
     lead = task.lead
     return (
         f"Mean of the last {SMOOTHING} samples of the root mean square over {lead.members} test trajectories "
-        f"of the {what} of the error, {start} start. {task.spread()}"
-    ).strip()
+        f"of the {what} of the error, {start} start."
+    )

@@ -18,10 +18,10 @@ def consistency_drawings(task: Task) -> list[Drawing]:
         return []
     caption = (
         f"Normalised estimation error squared, mean over {task.lead.members} test trajectories. Above its "
-        f"band the filter is overconfident, below it too cautious. {task.spread()}"
+        f"band the filter is overconfident, below it too cautious."
     )
     panels = [_panel(task, start) for start in starts]
-    return [task.drawing("nees", "NEES of the filters over time", caption.strip(), panels)]
+    return [task.drawing("nees", "NEES of the filters over time", caption, panels, spread=task.spread())]
 
 
 def _panel(task: Task, start: str) -> Panel:

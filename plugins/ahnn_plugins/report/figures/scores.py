@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from statistics import fmean, stdev
 from typing import Literal, NamedTuple, get_args
 
 import torch
@@ -22,12 +23,12 @@ Quantity = Literal["position", "velocity", "energy"]
 BESIDE = 0.17
 """Horizontal offsets of a model without and with filter."""
 SIDES = "Left: without measurements; right: with the filter. "
-DOTS = "Dots are means over seeds, lines their range. "
+SPREAD = "Dots: means over seeds; lines: ± standard deviation, as in the tables."
 MEANING = "RMSE: mean over test trajectories of the rms vector norm; floor: what perfect knowledge scores."
 
 
 class Dot(NamedTuple):
-    """Score at an axis position, with its range over seeds."""
+    """Scores of the seeds at an axis position."""
 
     place: float
     values: tuple[float, ...]
@@ -57,9 +58,11 @@ def _of_start(
             panels.append(Panel(_merged(series), "", label, log=True, ticks=tuple(models)))
     if not panels:
         return None
-    caption = f"{SIDES}{DOTS}{MEANING}"
+    caption = f"{SIDES}{MEANING}"
     title = f"{system}: RMSE of the models, {start} start"
-    return Drawing(f"{file_name(system)}_rmse_{start}", title, caption, tuple(panels), "bars")
+    return Drawing(
+        f"{file_name(system)}_rmse_{start}", title, caption, tuple(panels), "bars", _spread(panels)
+    )
 
 
 def _of_model(runs: list[Entry], start: str, quantity: Quantity, place: int, slot: int) -> list[Series]:
@@ -100,12 +103,13 @@ def _printed(system: str, model: str, start: str, quantity: Quantity, place: int
 
 
 def _dots(label: str, dots: Sequence[Dot], role: Role, slot: int = 0) -> list[Series]:
-    """Return one series of means with ranges, empty without positive, drawable values."""
+    """Return one series of means with standard deviations, empty without positive, drawable values."""
     rows = []
     for dot in dots:
         values = [v for v in dot.values if 0 < v < LOST]
         if values:
-            rows.append((dot.place, sum(values) / len(values), min(values), max(values)))
+            mean, deviation = fmean(values), stdev(values) if len(values) > 1 else 0.0
+            rows.append((dot.place, mean, mean - deviation, mean + deviation))
     if not rows:
         return []
     x, y, low, high = torch.tensor(rows, dtype=torch.float64).unbind(-1)
@@ -153,9 +157,15 @@ def _ablation(system: str, entries: Sequence[Entry], slots: dict[str, int]) -> D
         series = _merged([each for found in several for each in found])
         label = f"{quantity} [{_unit(rows[0][0], quantity)}], {start}"
         panels += [Panel(series, "", label, log=True, ticks=ticks)] if _has_model(series) else []
-    caption = f"Models that assume the same, {assumes}. {SIDES}{DOTS}{MEANING}"
+    caption = f"Models that assume the same, {assumes}. {SIDES}{MEANING}"
     title = f"{system}: RMSE over the window W of the loss"
-    return Drawing(f"{file_name(system)}_windows", title, caption, tuple(panels), "bars")
+    return Drawing(f"{file_name(system)}_windows", title, caption, tuple(panels), "bars", _spread(panels))
+
+
+def _spread(panels: Iterable[Panel]) -> str:
+    """Return what the lines of dots show, if there are any."""
+    several = any(series.low is not None for panel in panels for series in panel.series)
+    return SPREAD if several else ""
 
 
 def _has_model(series: Iterable[Series]) -> bool:

@@ -40,7 +40,13 @@ class Task(NamedTuple):
         return [runs[0] for runs in self.models.values()]
 
     def drawing(
-        self, name: str, title: str, caption: str, panels: Iterable[Panel], kind: Kind = "lines"
+        self,
+        name: str,
+        title: str,
+        caption: str,
+        panels: Iterable[Panel],
+        kind: Kind = "lines",
+        spread: str = "",
     ) -> Drawing:
         """Build a figure of this system, with a portable file name."""
         words = (caption, self.note)
@@ -50,6 +56,7 @@ class Task(NamedTuple):
             " ".join(word for word in words if word),
             tuple(panels),
             kind,
+            spread,
         )
 
     def one_run_each(self) -> str:
@@ -60,7 +67,7 @@ class Task(NamedTuple):
     def spread(self) -> str:
         """Return a sentence on the meaning of lines and bands for several seeds."""
         most = max(len(runs) for runs in self.models.values())
-        return f"Lines are means over up to {most} seeds, bands their range." if most > 1 else ""
+        return f"Lines: means over up to {most} seeds; bands: their range." if most > 1 else ""
 
 
 def make_task(system: str, runs: list[Kept]) -> Task:

@@ -1,0 +1,55 @@
+"""Runtime estimate of the evaluation after a training, from a few steps of its flows."""
+
+from __future__ import annotations
+
+import time
+from statistics import median
+from typing import Any
+
+import torch
+
+from ahnn.jobs.prepared import Prepared
+from ahnn.rollouts import clock_of
+from ahnn.systems import exact_flow
+from ahnn.training.runtime_estimate import shooting_seconds
+from ahnn.types import Flow
+
+TIMED = 5
+"""Number of timed steps."""
+FILTERED = 3.7
+"""Cost of a filter evaluation (seven runs on one degree of freedom), in open-loop predictions; measured."""
+TESTS = 9.3
+"""Cost of the tests on unseen measurements, in fits of untrained dynamics to them; measured."""
+FIGURES = 3.0
+"""Seconds for figures."""
+
+
+def evaluation_seconds(prepared: Prepared) -> float:
+    """Estimate the time of predictions, filters, tests and figures in seconds."""
+    data, plan = prepared.data, prepared.assessment
+    test, dynamics = data.splits["test"], prepared.model.dynamics.frozen()
+    seconds = FIGURES if plan.report.get("figures", True) else 0.0
+    if clock_of(dynamics):  # flows under controls are not timed
+        return seconds
+    count, samples = test.states.shape[:2]
+    flows: list[tuple[Flow, int]] = [(dynamics, 2 * count)]
+    if data.source.truth is not None:
+        flows.append((exact_flow(data.source.truth), count))
+    states, dt = data.examples(), float(data.statistics().dt)
+    each = sum(_step_seconds(flow, states, rows, dt) for flow, rows in flows)
+    filters = sum(hasattr(plugin, "estimator") for plugin in plan.plugins.values())
+    seconds += samples * each * (1 + FILTERED * filters)
+    if data.stages is not None:
+        seconds += TESTS * shooting_seconds(prepared.model, data) * data.measured("test").times.numel()
+    return seconds
+
+
+@torch.no_grad()
+def _step_seconds(flow: Any, states: torch.Tensor, rows: int, dt: float) -> float:
+    """Return the median time of a step of so many states, after a warm-up call."""
+    x, times = states[torch.arange(rows) % len(states)], list[float]()
+    for _ in range(TIMED + 1):
+        begin = time.perf_counter()
+        flow(x, dt)
+        times.append(time.perf_counter() - begin)
+    return median(times[1:])
