@@ -1,13 +1,16 @@
-"""Learning Hamiltonian dynamics from data, and assimilating measurements with the learned model.
+"""Learn Hamiltonian dynamics from data, and assimilate measurements.
 
-    run = ahnn.load("molniya_mechanical")     # a run folder, or the name of a model shipped with the package
+    # a run folder, or the name of a model shipped with the package
+    run = ahnn.load("molniya_mechanical")
     run.rollout(start, steps=1440), run.energy(x), run.plot(), run.results
 
-    data = ahnn.Trajectories(states, times)   # (B, T, 2n) and (B, T), NaN marks missing samples
+    # states (B, T, 2n) and times (B, T), NaN marks missing samples
+    data = ahnn.Trajectories(states, times)
     space = ahnn.Space("cart", ("q", "p"))
     run = ahnn.fit(data, space, ["model=hnn"], folder="runs/cart")
 
-    model = ahnn.Hamiltonian(dof=1, hidden=64, data=data)   # a torch module, for a loop of your own
+    # a torch module, for a loop of your own
+    model = ahnn.Hamiltonian(dof=1, hidden=64, data=data)
     run = ahnn.save(model, space, dt=0.1, folder="runs/mine")
 
 `python -m ahnn` lists the commands.

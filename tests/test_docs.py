@@ -133,6 +133,10 @@ def test_the_system_of_the_tutorial_moves_as_its_energy_says(monkeypatch):
     energies = system.energy(states)
     close(energies, energies[:, :1].expand_as(energies), 1e-9)
     assert float((states[:, -1] - states[:, 0]).norm(dim=-1).min()) > 0
+    exec(next(text for _, text in shown if "class Damped" in text), vars(module))
+    damped = module.Damped(name="damped", dt=0.01, steps=1000)
+    lost = damped.energy(rollout(exact_flow(damped), states[:, 0], 0.01, 1001)).diff(dim=1)
+    assert float(lost.max()) < 1e-12  # -friction v^2 dt, at rest only at the turning points
 
 
 EXAMPLES = [ROOT / "examples" / name for name in ("load_and_predict.py", "own_data.py")]

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+import pydoc
+import re
 import subprocess
 import sys
 
 import pytest
 from entry import call
+
+import ahnn
 
 QUARTIC = "# A quartic oscillator.\n_target_: my_systems.Quartic\nname: quartic # yes\n"
 
@@ -107,3 +111,11 @@ def test_a_terminal_that_knows_ascii_alone_is_served():
     assert done.returncode == 2
     assert "special characters" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_help_of_the_package_fits_a_terminal_of_eighty_columns():
+    (description,) = re.findall(
+        r"NAME\n.*?(?=PACKAGE CONTENTS)", pydoc.plain(pydoc.render_doc(ahnn)), re.DOTALL
+    )
+    assert "ahnn.fit(data, space" in description
+    assert max(map(len, description.splitlines())) <= 80

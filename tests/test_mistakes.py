@@ -41,7 +41,8 @@ MISTAKES = {
     "model.loss.derivative=1": "did you mean 'loss.derivative'?",
     "model=mlp hamiltonian=generic": "model=mlp hamiltonian=generic: these options are incompatible",
     "model=mlp experiment=molniya_mechanical": "these options are incompatible; In 'experiment/",
-    "data.noise=-1": "data.noise: expected a standard deviation > 0 for each of q1 [m], p1",
+    "data.noise=-1": "data.noise: expected a standard deviation > 0 for each of q [m], p [",
+    "data.noise=10mm": "data.noise: expected a number in m, a list of numbers, or estimate; received '10mm'",
     "data.every=4": "data.noise: expected standard deviations with {'every': 4}; received null",
     "data.gaps=1": "data.noise: expected standard deviations with {'gaps': 1}; received null",
     "data.measured=position data.noise=0.01": "expected measured states for a loss on windows; received q1",
@@ -107,6 +108,10 @@ MISTAKES = {
     "model.window=7": "unknown key 'model.window'; did you mean 'window'?",
     "data.window=3": "unknown key 'data.window'; did you mean 'window'?",
     "loss.order=2000 loss.derivative=1": "loss.order: expected windows of 1 to 60 steps",
+    "system=quartic": "toda. For options of your own add --config-dir FOLDER",
+    "model=mechanical": "model: unknown option 'mechanical'; it is an option of hamiltonian: ham",
+    "system=pendulum system=duffing": "system: expected one option; received system=pendulum and",
+    "trainer.accelerator=gpu": "trainer.accelerator: expected a GPU; received none. Use trainer.accel",
     "loss.derivative=1 system.steps=8": "loss.order: expected windows of 1 to 8 steps",
 }
 
@@ -117,7 +122,7 @@ def test_a_mistake_is_one_message_and_leaves_nothing(mistake, tmp_path, capfd, m
     given = mistake.split()
     kept = [o for o in SMALL if not any(g.startswith(o.split("=")[0] + "=") for g in given)]
     smoke = [] if mistake.startswith("budget") else ["budget=smoke"]
-    first = [] if "loss" in mistake else ["recipe=first_order"]
+    first = [] if "loss" in mistake or "recipe" in mistake else ["recipe=first_order"]
     assert call("ahnn.train", *smoke, *first, *kept, f"run={tmp_path / 'run'}", *given) == 2
     out, err = capfd.readouterr()
     assert err.startswith("ahnn: ")
@@ -127,6 +132,14 @@ def test_a_mistake_is_one_message_and_leaves_nothing(mistake, tmp_path, capfd, m
     assert "pkg://" not in err
     assert list(tmp_path.iterdir()) == []
     assert not GlobalHydra.instance().is_initialized()
+
+
+@pytest.mark.parametrize("run", ["/proc/x", "plain/x"])
+def test_a_run_folder_that_cannot_be_created_is_named(run, tmp_path, capfd, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "plain").touch()
+    assert call("ahnn.train", "system=pendulum", "budget=smoke", f"run={run}") == 2
+    assert capfd.readouterr().err.startswith(f"ahnn: run: cannot create the folder {run}: N")
 
 
 @pytest.mark.parametrize("named", [[], ["run=a/b/c"], ["run=runs/mine"]])

@@ -166,7 +166,7 @@ HUBER = ("loss.robust=huber", "recipe=measurements", "hamiltonian=mechanical")
     ("overrides", "expected"),
     [
         ([], "data.noise: expected the standard deviations of the recorded measurements"),
-        (["data.noise=0.01"], "Use recipe=measurements"),
+        (["data.noise=0.01"], "Use hamiltonian=mechanical or central_body"),
         (["data.noise=0.01", "recipe=measurements"], "Use hamiltonian=mechanical or central_body"),
         (["data.noise=0.01", "data.measured=state", "recipe=measurements"], "received positions alone"),
         (
@@ -176,7 +176,7 @@ HUBER = ("loss.robust=huber", "recipe=measurements", "hamiltonian=mechanical")
         (["data.noise=0.01", "sensor=tracking"], "received data.every=5"),
         (
             ["data.noise=[1,2]", "recipe=measurements"],
-            "data.noise: expected a standard deviation > 0 for each of q1 [m]",
+            "data.noise: expected a standard deviation > 0 for each of q [m]",
         ),
         (
             ["data.noise=0.01", "data.correlation=estimate", *HUBER],

@@ -8,12 +8,13 @@ from pathlib import Path
 import pytest
 import torch
 from entry import call, untouched
+from omegaconf import OmegaConf
 from safetensors.torch import load_file
 from test_own_data import SD, swings
 from test_own_data import SMALL as FILES
 
 import ahnn
-from ahnn.cli.compose import compose_job
+from ahnn.cli.compose import compose_job, composed, with_recorded
 from ahnn.cli.prepare import prepare
 from ahnn.data import SPLITS, Given
 from ahnn.data.recorded_sensor import Recorded
@@ -77,6 +78,30 @@ def test_training_sees_the_same(tmp_path, case, padded):
     for mine, theirs in zip(one.statistics(), other.statistics(), strict=True):
         assert torch.equal(torch.as_tensor(mine), torch.as_tensor(theirs))
     assert one.remark() == other.remark()
+
+
+@pytest.mark.parametrize(
+    ("asked", "sensor", "recipe"),
+    [
+        ([], "none", "second_order"),
+        (["data.noise=0.01"], "recorded", "measurements"),
+        (["data.noise=estimate"], "recorded", "measurements"),
+        (["data.noise=0.01", "recipe=noisy_states"], "none", "noisy_states"),
+    ],
+)
+def test_noise_of_numbers_from_outside_makes_them_measurements_unless_a_recipe_is_named(
+    asked, sensor, recipe
+):
+    texts = with_recorded(["train.py", "system=files", *asked, "hamiltonian=mechanical", "-m"])
+    assert [text for text in texts if text.startswith("sensor=")] == ["sensor=recorded"] * (
+        sensor == "recorded"
+    )
+    assert texts[-1] == "-m"
+    found = composed("train", ["system=files", *asked, "hamiltonian=mechanical"])
+    named = composed(
+        "train", ["system=files", *asked, "hamiltonian=mechanical", f"sensor={sensor}", f"recipe={recipe}"]
+    )
+    assert OmegaConf.to_container(found) == OmegaConf.to_container(named)
 
 
 @pytest.mark.slow

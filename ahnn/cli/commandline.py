@@ -29,6 +29,7 @@ from omegaconf import DictConfig, OmegaConf
 from ahnn.arguments import flatten, nearest
 from ahnn.cli.identical_jobs import warn_of_twins
 from ahnn.cli.importing import let_import
+from ahnn.cli.option_hints import once_each, unknown_option
 from ahnn.cli.settings import CommonSettings
 from ahnn.cli.trust import targets
 from ahnn.cli.unreferenced_keys import require_referenced
@@ -136,13 +137,13 @@ def check(args: Namespace, config_name: str) -> DictConfig | None:
     Returns the configuration of the first job, or None without a job.
 
     Raises:
-        UserError: an unknown option or key, incompatible options, a sweep without -m, or one into a foreign
-            folder.
+        UserError: an unknown option or key, incompatible options or two of a group, a sweep without -m, or
+            one into a foreign folder.
     """
     if args.config_path or args.experimental_rerun or args.shell_completion:
         return None
     loader, name = config_loader(args.config_dir), args.config_name or config_name
-    overrides = [parse(text) for text in args.overrides]
+    overrides = once_each(loader, map(parse, args.overrides))
     values = [alternatives(o, loader) for o in overrides]
     sweeps = args.multirun or any(o.key_or_group == "hydra.mode" for o in overrides)
     if several := [o for o in overrides if o.is_sweep_override() and not sweeps]:
@@ -193,8 +194,7 @@ def compose(loader: ConfigLoaderImpl, name: str, overrides: list[str]) -> DictCo
     except MissingConfigException as error:
         group, _, option = str(error.missing_cfg_file).rpartition("/")
         known = [one for one in error.options or loader.get_group_options(group) if one[0] != "_"]
-        message = f"{group or '--config-name'}: unknown option {option!r}{nearest(option, known)}"
-        raise UserError(message) from error
+        raise UserError(unknown_option(loader, group, option, known)) from error
     except HydraException as error:
         groups = [text for text in overrides if loader.repository.group_exists(text.partition("=")[0])]
         if groups == overrides:

@@ -12,6 +12,18 @@ from omegaconf import DictConfig, OmegaConf
 from ahnn.cli.commandline import alternatives, compose, config_loader, parse, worded
 from ahnn.cli.unreferenced_keys import require_referenced
 
+LEARNS = ("sensor", "recipe", "loss", "experiment")
+"""Groups that say how noise is learned from."""
+
+
+def with_recorded(texts: Sequence[str]) -> list[str]:
+    """Add sensor=recorded where numbers from outside have noise, and no option says how to learn from it."""
+    noisy = any(text.startswith("data.noise=") and text != "data.noise=null" for text in texts)
+    if "system=files" not in texts or not noisy or {text.partition("=")[0] for text in texts} & {*LEARNS}:
+        return [*texts]
+    place = texts.index("system=files") + 1
+    return [*texts[:place], "sensor=recorded", *texts[place:]]
+
 
 def composed(name: str, overrides: Sequence[str], *, partly: bool = False) -> DictConfig:
     """Return the configuration NAME of conf/ with overrides; `partly` if only some nodes are used.
@@ -19,7 +31,7 @@ def composed(name: str, overrides: Sequence[str], *, partly: bool = False) -> Di
     Raises:
         UserError: they do not compose, or an override has no effect.
     """
-    loader, texts = config_loader(), [worded(text) for text in overrides]
+    loader, texts = config_loader(), with_recorded([worded(text) for text in overrides])
     for text in texts:
         alternatives(parse(text), loader)
     cfg = compose(loader, name, texts)

@@ -18,9 +18,11 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from ahnn.cli import commandline
+from ahnn.cli.compose import with_recorded
 from ahnn.cli.early_stops import arrived
 from ahnn.cli.guard import guard, leave
 from ahnn.cli.help import show_completion, show_help
+from ahnn.errors import UserError
 from ahnn.paths import conf_dir
 
 
@@ -30,7 +32,7 @@ def run_hydra(task: Callable[[DictConfig], Any], config_name: str = "train") -> 
     # Hydra does not accept null for a group. For a group that is empty by default it is equivalent to no
     # override.
     given = [argument for argument in sys.argv if argument not in ("experiment=null", "sweep=null")]
-    sys.argv = [commandline.worded(argument) for argument in given]
+    sys.argv = with_recorded([commandline.worded(argument) for argument in given])
     leave(guard(lambda: start(task, config_name)))
 
 
@@ -63,8 +65,20 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
             leave(code)  # bypasses Hydra, which would report an error
         return None
 
-    with contextlib.nullcontext() if first is None else known_mode(first.hydra.mode):
+    with folder_of(own), contextlib.nullcontext() if first is None else known_mode(first.hydra.mode):
         return hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=config_name)(tidy)()
+
+
+@contextlib.contextmanager
+def folder_of(run: Path | None) -> Iterator[None]:
+    """Convert Hydra's failure to create the run folder to a UserError; errors of the task leave before."""
+    try:
+        yield
+    except OSError as error:
+        if run is None or run.is_dir():
+            raise
+        message = f"run: cannot create the folder {run}: {error.strerror or error}. Choose another"
+        raise UserError(message) from error
 
 
 @contextlib.contextmanager

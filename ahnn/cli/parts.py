@@ -43,10 +43,18 @@ def build_source(cfg: DictConfig) -> Source:
 
 
 def build_sensor(cfg: DictConfig, source: Source) -> Sensor | None:
-    """Build the sensor of training, simulated or recorded; None for exact states."""
+    """Build the sensor of training, simulated or recorded; None for exact states.
+
+    Raises:
+        UserError: options that do not fit the data.
+    """
     data = plain_config(cfg.data)
     # Runs of older versions lack some keys.
     options: dict[str, Any] = {name: data.get(name, value) for name, value in SENSOR.items()}
+    if isinstance(noise := options["noise"], str) and noise != "estimate":
+        unit = "" if isinstance(source, Observed) else f" in {source.space.units.position}"
+        message = f"data.noise: expected a number{unit}, a list of numbers, or estimate; received {noise!r}"
+        raise UserError(message)
     if isinstance(source, Recordings | Observed):
         return build_recorded(options, source)
     measured = options["measured"] or "state"

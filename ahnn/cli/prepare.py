@@ -23,7 +23,7 @@ from ahnn.cli.parts import (
     is_multirun,
     report_options,
 )
-from ahnn.cli.unused_keys import require_read
+from ahnn.cli.unused_keys import asked_for, require_read
 from ahnn.data import Source
 from ahnn.data.datamodule import WindowDataModule
 from ahnn.errors import UserError
@@ -39,6 +39,8 @@ DECISIVE = ("max_epochs", "gradient_clip_val", "gradient_clip_algorithm", "accum
 """Trainer settings that affect the weights."""
 CHOOSING = ("callbacks.best.monitor", "callbacks.rollout.count", "callbacks.rollout.every")
 """Settings that select the best weights."""
+SMOKE = "budget=smoke only checks the installation; the default budget trains the model"
+"""Finding below the table of such a run."""
 
 
 def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] | None = None) -> Prepared:
@@ -63,6 +65,7 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
     trainer = build_trainer(made, folder)
     data.feed(trainer)
     checkpoint = None if cfg.ckpt is None else Path(cfg.ckpt)
+    caveat = SMOKE if "budget=smoke" in asked_for(asked) else ""
     if cfg.ckpt in ("last", "best"):
         checkpoint = folder / "checkpoints" / f"{cfg.ckpt}.ckpt"
     prepared = Prepared(
@@ -77,7 +80,7 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
         weights=cfg.weights,
         recorded=cfg.cuda_graphs,
         robust=cfg.loss.get("robust", "none"),
-        assessment=Assessment(plugins, cfg.evaluation.seed, options, searched(values)),
+        assessment=Assessment(plugins, cfg.evaluation.seed, options, searched(values), caveat),
     )
     check_together(prepared)
     require_read(cfg, prepared, asked)
@@ -85,11 +88,18 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
 
 
 def parts_of(cfg: DictConfig) -> dict[str, Part]:
-    """Return the nodes of a training to be built from their keys and a few objects."""
+    """Return the nodes of a training to be built from their keys and a few objects.
+
+    Raises:
+        UserError: a GPU is asked for, and there is none.
+    """
     data = {key: value for key, value in plain_config(cfg.data).items() if key not in (*SIMULATION, *SENSOR)}
     node = cfg.trainer.copy()
     if cfg.loss.get("stages") and node.accelerator == "auto":
         node.accelerator = "cpu"  # for training on measurements
+    if node.accelerator in ("gpu", "cuda") and not torch.accelerator.is_available():
+        message = "trainer.accelerator: expected a GPU; received none. Use trainer.accelerator=cpu or auto"
+        raise UserError(message)
     parts = {
         "data": Part(OmegaConf.create(data), WindowDataModule, ("source", "window", "sensor")),
         "model": Part(cfg.model, AbstractModel, ("dof", "inertia", "window", "controls", "angular")),

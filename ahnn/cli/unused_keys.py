@@ -37,6 +37,13 @@ Unread = Iterator[tuple[str, str]]
 """Keys, with the reason why they are not read."""
 
 
+def asked_for(texts: Iterable[str] | None) -> Iterable[str]:
+    """Return overrides; None for those of the command line."""
+    if texts is None:
+        return HydraConfig.get().overrides.task if HydraConfig.initialized() else ()
+    return texts
+
+
 def require_read(cfg: DictConfig, prepared: Prepared, texts: Iterable[str] | None = None) -> None:
     """Reject overrides that no part of a training reads.
 
@@ -48,8 +55,7 @@ def require_read(cfg: DictConfig, prepared: Prepared, texts: Iterable[str] | Non
     Raises:
         UserError: an override without effect.
     """
-    if texts is None:
-        texts = HydraConfig.get().overrides.task if HydraConfig.initialized() else ()
+    texts = asked_for(texts)
     values = {key: value for key, _, value in (text.partition("=") for text in texts)}
     several = values.get("seeds", "null") != "null"
     data = unread_of_data(cfg, prepared.data.source, prepared.data.sensor)

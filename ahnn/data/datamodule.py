@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from functools import cached_property
 from typing import Annotated, Any, Literal, Protocol
 
@@ -24,6 +25,8 @@ from ahnn.measurements.smoothing import Local, as_states, smoothed
 from ahnn.memory import require_memory
 from ahnn.statistics import Statistics
 from ahnn.types import Trajectories
+
+log = logging.getLogger("ahnn")
 
 EXACT = 20_000
 """Approximate number of exact states used as examples of the training split."""
@@ -81,6 +84,7 @@ class WindowDataModule(LightningDataModule):
         self.epochs = 1
         self.clock = 0
         self._cut: dict[int | None, Segments] = {}
+        self._too_long: set[int] = set()
         self._windows: dict[tuple[Split, int], Windows] = {}
         self.window, self.span, self.batch_size = window, window, batch_size
         self.windows_per_epoch, self.val_windows = windows_per_epoch, val_windows
@@ -193,6 +197,10 @@ class WindowDataModule(LightningDataModule):
         if intervals not in self._cut:
             self._cut = {intervals: Segments(self.measured("train"), intervals, self.instrument)}
         segments = self._cut[intervals]
+        if intervals is not None and segments.intervals < intervals and intervals not in self._too_long:
+            self._too_long.add(intervals)
+            what = "loss.stages: no trajectory has %d intervals; that stage fits whole trajectories (%d)"
+            log.info(what, intervals, segments.intervals)
         asked = self.stages.stretches(epoch, self.epochs) or self.batch_size
         return segments, asked if intervals is None else min(asked, segments.covering)
 

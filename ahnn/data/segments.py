@@ -18,37 +18,36 @@ class Segments:
     Args:
         measured: values (B, T, M) and times (B, T); NaN where missing.
         intervals: number K of intervals; None for one segment per trajectory, from its first suitable start
-            to its end.
+            to its end, as also where no trajectory has K intervals from a suitable start on.
         instrument: measuring instrument.
 
     Attributes:
+        intervals: number of intervals of each segment.
         covering: number of segments that together contain as many measurements as exist; more segments only
             overlap.
 
     Raises:
-        UserError: no trajectory is long enough.
+        UserError: no initial state can be estimated.
     """
 
     def __init__(self, measured: Observations, intervals: int | None, instrument: Instrument) -> None:
         self.values, times = measured
         rows, samples = times.shape
         self.instrument = instrument
-        self.intervals = samples - 1 if intervals is None else intervals
         there = located_at(instrument, self.values, times).isfinite().all(-1)
         good = there & (ahead(there, FIRST) > DEGREE)
-        last = (times.isfinite() * torch.arange(samples)).amax(1, keepdim=True)
-        if intervals is not None:
-            good &= torch.arange(samples) + intervals <= last
-        else:
-            good &= good.cumsum(1) == 1
         if not bool(good.any()):
             message = (
-                f"loss.stages: expected trajectories of more than {self.intervals} intervals with at least "
-                f"{DEGREE + 1} of {FIRST} measurements in a row; received {rows} of {samples} times. "
-                "Choose shorter stages"
+                f"data: expected trajectories with at least {DEGREE + 1} of {FIRST} measurements in a row, "
+                f"which determine an initial state; received none among {rows} of {samples} times. "
+                "Measure more often"
             )
             raise UserError(message)
-        self.begins = good.nonzero()
+        last = (times.isfinite() * torch.arange(samples)).amax(1, keepdim=True)
+        fitting = good & (torch.arange(samples) + (intervals or samples) <= last)
+        if intervals is None or not bool(fitting.any()):
+            intervals, fitting = samples - 1, good & (good.cumsum(1) == 1)
+        self.intervals, self.begins = intervals, fitting.nonzero()
         self.covering = max(1, round(float(there.sum()) / self.intervals))
         # Times beyond the end of a trajectory continue with its own step, so that all times increase.
         step = (times.gather(1, last) - times[:, :1]) / last.clamp(min=1)

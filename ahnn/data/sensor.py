@@ -90,7 +90,8 @@ class Sensor:
             )
             raise UserError(message)
         stated = 1.0 if isinstance(noise, str) else noise  # differences of the samples take their place
-        self.deviations = noise_deviations(measured_by, stated, "data.noise")
+        names = space.components[: len(measured_by.names)] if isinstance(measured, str) else None
+        self.deviations = noise_deviations(measured_by, stated, "data.noise", names)
         biases = Biases.of(measured_by, bias_sd, None, "data.")
         prior = None if biases is None else torch.tensor(biases.deviations, dtype=torch.float64)
         self.unknown = UnknownNoise(sizes, correlation is not None, prior)

@@ -14,8 +14,10 @@ from ahnn.types import Trajectories
 
 WORTHLESS = 0.9
 """Fraction of the better baseline's error above which a model is no better than that baseline."""
-LINEAR = 0.05
-"""Relative error up to which a model is useful although a linear map is better, for linear motion."""
+EXACT = 1e-4
+"""Relative error below which differences between a model and a linear map do not matter."""
+AT_FLOOR = 1.5
+"""Multiple of the floor's error up to which a model is as accurate as perfect knowledge."""
 PAIRS = 200_000
 """Maximum number of steps to which a linear map is fitted."""
 
@@ -30,34 +32,44 @@ class Worth(NamedTuple):
         persistence: error of a constant state.
         linear: error of the best-fitting affine one-step map; None for unequal steps or without complete
             states.
+        floor: error of the exact field with the model's integrator; None without known equations.
     """
 
     model: float
     persistence: float
     linear: float | None
+    floor: float | None = None
+
+    @property
+    def below_linear(self) -> bool:
+        """Whether a linear map is more accurate."""
+        return self.linear is not None and WORTHLESS * self.model > max(self.linear, EXACT)
+
+    @property
+    def at_floor(self) -> bool:
+        """Whether the exact equations are no more accurate, nor a linear map: chaos, or a long step."""
+        return self.floor is not None and self.model <= AT_FLOOR * self.floor and not self.below_linear
 
     @property
     def worthless(self) -> bool:
-        """Whether a baseline, or the mean of the data, is as accurate."""
-        known = [1.0, self.persistence]
-        if self.linear is not None and self.model > LINEAR:
-            known.append(self.linear)
-        return not self.model < WORTHLESS * min(known)
+        """Whether persistence, or the mean of the data, is as accurate."""
+        return not self.at_floor and not self.model < WORTHLESS * min(1.0, self.persistence)
 
     def sentence(self) -> str:
         """Return the finding as a note under the table."""
         linear = "" if self.linear is None else f", a linear map {amount(self.linear)}"
-        others = f"persistence {amount(self.persistence)}{linear}"
-        if self.worthless:
-            return (
-                f"WORTHLESS: relative error {amount(self.model)} of the spread of the data, no better "
-                f"than without a model ({others}). Train longer, or use another model"
-            )
-        return f"relative error {amount(self.model)} of the spread of the data ({others})"
+        floor = f", the exact equations {amount(self.floor)}" if self.floor and self.at_floor else ""
+        error = f"relative error {amount(self.model)} of the spread of the data"
+        others = f"(persistence {amount(self.persistence)}{linear}{floor})"
+        return (
+            f"WORTHLESS: {error}, no better than without a model {others}"
+            if self.worthless
+            else f"{error} {others}"
+        )
 
     def numbers(self) -> dict[str, Any]:
         """Return plain values for metrics.json."""
-        return {**self._asdict(), "worthless": self.worthless}
+        return {**self._asdict(), "worthless": self.worthless, "below_linear": self.below_linear}
 
 
 def amount(error: float) -> str:
@@ -65,10 +77,10 @@ def amount(error: float) -> str:
     return in_percent(error) if error < 100 else "over 10,000 %" if math.isfinite(error) else "infinite"
 
 
-def worth(case: Case, prediction: Tensor) -> Worth:
+def worth(case: Case, prediction: Tensor, floor: Tensor | None = None) -> Worth:
     """Compare a prediction (B, T, D) of the test trajectories of a case with the baselines.
 
-    Unmeasured components are ignored.
+    Unmeasured components are ignored. `floor` is the prediction of the exact field, if known.
     """
     truth = case.test.states
     still = truth[:, :1].expand_as(truth)
@@ -76,7 +88,7 @@ def worth(case: Case, prediction: Tensor) -> Worth:
     return Worth(
         relative_error(prediction, truth),
         relative_error(still, truth),
-        None if mapped is None else relative_error(mapped, truth),
+        *(None if known is None else relative_error(known, truth) for known in (mapped, floor)),
     )
 
 

@@ -57,6 +57,7 @@ class Case:
             `test` then contains measurements, NaN where unmeasured.
         noise: of the measurements, where the training estimated any.
         remark: remark on the test trajectories; "" for those of the training.
+        caveat: reason why the training cannot have made a good model; "" without one.
     """
 
     label: str
@@ -80,6 +81,7 @@ class Case:
     fitted: Tensor | None = None
     noise: NoiseEstimate | None = None
     remark: str = ""
+    caveat: str = ""
 
     def starts(self) -> dict[Start, Tensor]:
         """Return the initial states (B, D) by start, as in the paper, or those fitted to measurements."""

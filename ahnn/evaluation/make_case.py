@@ -36,6 +36,7 @@ def make_case(
     robust: RobustName = "none",
     noise: Any = None,
     remark: str = "",
+    caveat: str = "",
 ) -> Case:
     """Build the case of learned dynamics on the test trajectories of their data.
 
@@ -50,6 +51,7 @@ def make_case(
         robust: robust loss of single residuals in the training.
         noise: measurement noise from the metadata of the weights, if the training estimated it.
         remark: remark on the data, for the table.
+        caveat: reason why the training cannot have made a good model.
     """
     source, truth = data.source, data.source.truth
     estimate = None if noise is None or data.sensor is None else read("noise", NoiseEstimate, noise)
@@ -79,6 +81,7 @@ def make_case(
         fitted=fitted,
         noise=estimate,
         remark=remark,
+        caveat=caveat,
     )
 
 

@@ -39,6 +39,7 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
     """
     findings = open_loop(case)
     findings.faults += [row.note for row in findings.rows if row.note]
+    findings.tell(case.caveat)
     findings.tell(case.remark, findings.highlights)
     with stage("evaluation"):
         value = add_tests(case, findings, figures=figures)
@@ -47,7 +48,7 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
     for name, plugin in plugins.items():
         add_plugin(case, name, plugin, findings, figures=figures)
     noisy = case.fitted is not None
-    told = verdict(value, findings.faults, findings.highlights, noisy=noisy)
+    told = verdict(value, findings.faults, findings.highlights, noisy=noisy, caveat=case.caveat)
     findings.numbers["verdict"] = {"findings": told}
     return findings
 
@@ -107,7 +108,8 @@ def add_plugin(case: Case, name: str, plugin: EvaluationPlugin, findings: Findin
 
 def add_worth(case: Case, findings: Findings) -> Worth:
     """Add the comparison of the prediction with baselines, and the conservation tests."""
-    found = worth(case, findings.arrays[f"{case.start}_start"])
+    arrays = findings.arrays
+    found = worth(case, arrays[f"{case.start}_start"], arrays.get(f"floor_{case.start}_start"))
     findings.tell(found.sentence())
     findings.numbers["worth"] = found.numbers()
     if case.measured is not None:

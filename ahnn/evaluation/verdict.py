@@ -12,7 +12,14 @@ GRADES = {"good": 0.01, "fair": 0.1}
 """Largest relative errors of a grade, where no noise of measurements is part of them."""
 
 
-def verdict(worth: Worth, faults: Sequence[str], others: Sequence[str], *, noisy: bool) -> list[str]:
+BELOW = ("worse than a linear map",)
+ADVICE = "Train longer, or use another model"
+"""Remedy of a worthless model where no finding has a specific one."""
+
+
+def verdict(
+    worth: Worth, faults: Sequence[str], others: Sequence[str], *, noisy: bool, caveat: str = ""
+) -> list[str]:
     """Return the findings that decide whether a model is of use.
 
     Args:
@@ -20,12 +27,22 @@ def verdict(worth: Worth, faults: Sequence[str], others: Sequence[str], *, noisy
         faults: findings that ask for a remedy, the most severe first.
         others: findings on its standard deviations, and of plugins.
         noisy: whether the error includes the noise of measurements, which is no fault of the model.
+        caveat: reason why the training cannot have made a good model; "" without one.
     """
     head = worth.sentence()
     if not worth.worthless:
-        grade = next((grade for grade, error in GRADES.items() if worth.model <= error), "poor")
-        head = f"{'not good' if faults else 'good' if noisy else grade}: {head}"
-    found = [head, *faults, *others]
+        words = ["not good"] if faults else [] if worth.below_linear else [grade(worth, noisy=noisy)]
+        head = f"{', '.join([*words, *BELOW * worth.below_linear])}: {head}"
+    elif not faults and not caveat:
+        head = f"{head}. {ADVICE}"
+    found = [head, *filter(None, [caveat]), *faults, *others]
     if len(found) <= LINES:
         return found
     return [*found[: LINES - 1], f"{len(found) - LINES + 1} more findings: evaluation.detail=true shows them"]
+
+
+def grade(worth: Worth, *, noisy: bool) -> str:
+    """Return the grade of a model that is better than the baselines."""
+    if worth.at_floor or noisy:
+        return "good"
+    return next((grade for grade, error in GRADES.items() if worth.model <= error), "poor")

@@ -99,7 +99,7 @@ def judge(prepared: Prepared, seconds: float) -> float:
     }
     named = {"label": prepared.label, "seed": plan.seed, "folder": folder, "domain": run.domain}
     learned = {"uncertainty": run.uncertainty, "robust": prepared.robust, "noise": run.about.get("noise")}
-    case = make_case(run.dynamics, data.splits, **learned, **named)
+    case = make_case(run.dynamics, data.splits, **learned, **named, caveat=plan.caveat)
     boards = [logger for logger in trainer.loggers if isinstance(logger, TensorBoardLogger)]
     sinks = [TensorBoardSink(board, plan.searched) for board in boards]
     report(case, plan.plugins, training, more=sinks, **plan.report)

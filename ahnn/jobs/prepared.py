@@ -23,12 +23,14 @@ class Assessment(NamedTuple):
         seed: seed of the perturbed starts.
         report: options of `ahnn.evaluation.publish`.
         searched: keys varied by a search, for TensorBoard's comparison of runs.
+        caveat: reason why the training cannot make a good model; "" without one.
     """
 
     plugins: Mapping[str, EvaluationPlugin]
     seed: int
     report: Mapping[str, Any]
     searched: Mapping[str, Any]
+    caveat: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,7 +15,12 @@ from ahnn.measurements.readings import State
 from ahnn.measurements.several import Several
 
 
-def noise_deviations(measurement: Measurement, given: float | Sequence[float] | None, who: str) -> Tensor:
+def noise_deviations(
+    measurement: Measurement,
+    given: float | Sequence[float] | None,
+    who: str,
+    names: Sequence[str] | None = None,
+) -> Tensor:
     """Expand standard deviations to the M components of a measurement, (M,).
 
     Args:
@@ -24,6 +29,7 @@ def noise_deviations(measurement: Measurement, given: float | Sequence[float] | 
             momenta, of several instruments of a size those of one; None takes those that a model has itself
             (`deviations`), and is refused without.
         who: the parameter, for messages.
+        names: of the components, for messages; None for those of the model.
 
     Raises:
         UserError: wrong count, or numbers that are not positive and finite.
@@ -31,7 +37,9 @@ def noise_deviations(measurement: Measurement, given: float | Sequence[float] | 
     values, states = for_each_component(measurement, given), isinstance(measurement, State)
     if len(values) == len(measurement.names) and all(0.0 < v < math.inf for v in values):
         return require_squares(torch.tensor(values, dtype=torch.float64), who)
-    names = ", ".join(f"{n} [{u}]" for n, u in zip(measurement.names, measurement.units, strict=True))
+    names = ", ".join(
+        f"{n} [{u}]" for n, u in zip(names or measurement.names, measurement.units, strict=True)
+    )
     message = (
         f"{who}: expected a standard deviation > 0 for each of {names}"
         f"{', or one for each block,' if states else ''} or one for all; received {given}"

@@ -41,7 +41,8 @@ class System(ABC):
 
     A subclass is a frozen dataclass whose fields are its physical constants; all enter the hash under which
     generated trajectories are cached. With additional `forces`, states are extended by time and controls as
-    needed (`ahnn.clock`).
+    needed (`ahnn.clock`). An H that is not T(p) + V(q) overrides `hamiltonian` and `separable`;
+    `MassMatrixSystem` does so for p = M(q) dq/dt.
 
     Attributes:
         name: name in folders and tables.

@@ -132,6 +132,19 @@ def test_a_step_takes_no_more_stretches_than_hold_all_that_was_measured(tmp_path
     assert sizes[0][0] > sizes[0][1]
 
 
+def test_a_stage_longer_than_all_trajectories_fits_them_whole_and_says_so_once(tmp_path, caplog):
+    simulated = Simulated(dataclasses.replace(SPRING, steps=40), trajectories=10, seed=0, cache=str(tmp_path))
+    data = module(simulated, Sensor(simulated.space, measured="state", noise=0.01), batch_size=4)
+    stages = SimpleNamespace(intervals=lambda epoch, _: (5, 64, 5, 64)[epoch], stretches=lambda *_: None)
+    data.follow(stages, 4)
+    with caplog.at_level("INFO", logger="ahnn"):
+        assert [data._stage(epoch)[0].intervals for epoch in range(4)] == [5, 40, 5, 40]
+    noted = [
+        message for message in caplog.messages if message.startswith("loss.stages: no trajectory has 64 int")
+    ]
+    assert len(noted) == 1
+
+
 def test_noise_to_estimate_begins_at_what_differences_show(tmp_path):
     system = dataclasses.replace(SPRING, steps=200)
     simulated = Simulated(system, trajectories=10, seed=0, cache=str(tmp_path))

@@ -69,9 +69,19 @@ def test_counting_ahead():
     assert ahead(there, 3).tolist() == [[2, 2, 2, 1, 0]]
 
 
-def test_too_short_is_refused():
-    with pytest.raises(UserError, match="Choose shorter stages"):
-        Segments(measured(), 12, SEEN)
+def test_stages_longer_than_all_trajectories_take_these_whole():
+    data = measured()
+    data.values[1, :2] = NAN
+    long, whole = Segments(data, 64, SEEN), Segments(data, None, SEEN)
+    assert long.intervals == 11
+    assert long.begins.tolist() == whole.begins.tolist() == [[0, 0], [1, 2], [2, 0]]
+
+
+def test_trajectories_without_an_initial_state_are_refused():
+    data = measured()
+    data.values[:, ::2] = NAN
+    with pytest.raises(UserError, match="expected trajectories with at least 4 of 6 measurements in a row"):
+        Segments(data, 5, SEEN)
 
 
 def test_draws_depend_on_seed_and_epoch_and_go_on_inside_an_epoch():

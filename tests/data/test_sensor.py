@@ -70,7 +70,7 @@ def test_what_a_station_does_not_see_is_missing():
     ("options", "said"),
     [
         ({"noise": 0.0}, "standard deviation > 0"),
-        ({"noise": [0.1, 0.2, 0.3]}, "for each of q1"),
+        ({"noise": [0.1, 0.2, 0.3]}, "for each of q"),
         ({"noise": [0.1, float("nan")]}, "standard deviation > 0"),
         ({"measured": "velocity"}, "expected state, position or a model"),
         ({"measured": GnssRange([[1.0, 2.0, 3.0]])}, "locate"),

@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 from cases import make_case
 
+from ahnn.cli.compose import compose_job
+from ahnn.cli.prepare import prepare
 from ahnn.evaluation import evaluate
 from ahnn.evaluation.baselines import Worth
 from ahnn.evaluation.publish import make_results
@@ -22,6 +24,48 @@ def test_the_grade_is_that_of_the_error_unless_noise_is_part_of_it(error, noisy,
     (line, fault) = verdict(Worth(error, 1.5, None), ["add forces=friction"], [], noisy=noisy)
     assert line.startswith("not good: ")
     assert fault == "add forces=friction"
+
+
+@pytest.mark.parametrize(
+    ("worth", "head"),
+    [
+        (Worth(0.0095, 1.4, 5e-5), "worse than a linear map: relative error 0.95 %"),  # linear motion
+        (Worth(5e-5, 1.4, 1e-9), "good: "),  # both exact
+        (Worth(0.46, 1.52, 0.35), "worse than a linear map: relative error 46 %"),
+        (Worth(0.36, 1.52, 0.35), "poor: "),
+        (Worth(0.95, 1.4, 0.2), "WORTHLESS: "),
+        (Worth(0.3, 1.4, 0.9, 0.25), "good: "),  # chaos: as the exact equations
+        (Worth(0.95, 1.4, 1.1, 0.9), "good: "),
+        (Worth(0.3, 1.4, 0.9, 0.01), "poor: "),
+        (Worth(0.3, 1.4, 0.01, 0.3), "worse than a linear map: "),  # a floor of long steps
+    ],
+)
+def test_a_model_is_judged_by_persistence_a_linear_map_and_the_floor(worth, head):
+    (line,) = verdict(worth, [], [], noisy=False)
+    assert line.startswith(head)
+    assert ("without a model" in line) == worth.worthless == (head == "WORTHLESS: ")
+    assert ("the exact equations" in line) == worth.at_floor
+    faulty = verdict(worth, ["add forces=friction"], [], noisy=False)[0]
+    assert worth.worthless or faulty.startswith("not good")
+    assert ("worse than a linear map" in faulty) == (worth.below_linear and not worth.worthless)
+
+
+def test_general_advice_is_given_only_where_no_finding_says_more():
+    advised = [verdict(Worth(1.2, 1.1, None), *more, noisy=False)[0] for more in (([], ["a"]), (["b"], []))]
+    assert [line.endswith("Train longer, or use another model") for line in advised] == [True, False]
+    smoke = verdict(
+        Worth(1.2, 1.1, None), ["add forces=friction"], [], noisy=False, caveat="budget=smoke only"
+    )
+    assert smoke[1:] == ["budget=smoke only", "add forces=friction"]
+    assert "Train longer" not in verdict(Worth(1.2, 1.1, None), [], [], noisy=False, caveat="budget=smoke")[0]
+
+
+@pytest.mark.parametrize("asked", [["budget=smoke"], []])
+def test_a_smoke_run_says_that_it_only_checks_the_installation(tmp_path, asked):
+    texts = ["system=pendulum", *asked]
+    caveat = prepare(compose_job(texts, tmp_path), None, texts).assessment.caveat
+    told = evaluate(make_case(tmp_path, caveat=caveat), {}, figures=False).numbers["verdict"]["findings"]
+    assert any(line.startswith("budget=smoke only checks") for line in told[1:2]) == bool(asked)
 
 
 def test_a_worthless_model_is_called_so_and_no_more_than_five_findings_are_shown():

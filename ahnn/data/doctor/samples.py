@@ -19,6 +19,10 @@ FAR = 30.0
 """Deviation from the local polynomial, in units of its uncertainty, beyond which a sample is an outlier."""
 EVEN, LEAST = 0.1, 1e-6
 """Outlier criteria: maximum difference of neighbours, and minimum size relative to all samples."""
+WIDE, NEAR = 100.0, 10.0
+"""Deviation from the median of a file, in robust standard deviations, that a run of values of another scale
+reaches, and that all of its values exceed.
+"""
 EXAMPLES = 64
 """Number of trajectories of a file whose noise is estimated."""
 
@@ -35,6 +39,7 @@ def sample_findings(content: Content, gap: float) -> Iterator[Finding]:
         yield from missing(track, names)
         yield from gaps(track, content.time, gap)
         yield from outliers(track, names)
+    yield from runs_of_outliers(content, names)
     yield from constant(content, names)
     if unit(content.units.position).dimension == ANGLE:
         yield from too_wide(content)
@@ -111,6 +116,37 @@ def outliers(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
         what = f"an outlier: {off[k, c]:.2g} from the curve through its neighbours"
         remedy = "Correct it, leave the cell empty, or train with loss.robust=student"
         yield Finding("warning", track.file, int(track.rows[at[k]]), names[c], what, remedy)
+
+
+def runs_of_outliers(content: Content, names: tuple[str, ...]) -> Iterator[Finding]:
+    """Yield several successive values of another scale than the file, entered and left by a jump."""
+    values = np.concatenate([track.values for track in content.tracks])
+    for c, name in enumerate(names):
+        known = values[np.isfinite(values[:, c]), c]
+        middle = np.median(known) if len(known) else 0.0
+        spread = 1.4826 * np.median(np.abs(known - middle)) if len(known) else 0.0
+        for track in content.tracks if spread > 0 else ():
+            there = np.flatnonzero(np.isfinite(track.values[:, c]))
+            off = np.abs(track.values[there, c] - middle) / spread
+            steps = np.abs(np.diff(track.values[there, c])) / spread
+            for first, last in runs(off > NEAR):
+                edges = [k for k in (first - 1, last) if 0 <= k < len(steps)]  # steps into and out of the run
+                wide = last > first and off[first : last + 1].max() > WIDE
+                if wide and edges and steps[edges].min() > FAR * np.median(steps):
+                    rows = track.rows[there[[first, last]]]
+                    what = (
+                        f"{last - first + 1} successive values, rows {rows[0]} to {rows[1]}, are up to "
+                        f"{off[first : last + 1].max():.2g} times the spread of the file away from the others"
+                    )
+                    remedy = "Correct them (another unit?), or leave the cells empty"
+                    yield Finding("warning", track.file, int(rows[0]), name, what, remedy)
+
+
+def runs(mask: np.ndarray) -> list[tuple[int, int]]:
+    """Return the first and last index of each run of true values of (T,), over holes of up to two samples."""
+    at = np.flatnonzero(mask)
+    parts = np.split(at, np.flatnonzero(np.diff(at) > 3) + 1) if len(at) else []
+    return [(int(part[0]), int(part[-1])) for part in parts]
 
 
 def too_wide(content: Content) -> Iterator[Finding]:

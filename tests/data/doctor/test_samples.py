@@ -8,7 +8,7 @@ import torch
 
 from ahnn.data.doctor import examine
 from ahnn.data.doctor.examine import diagnosis
-from ahnn.data.doctor.samples import gaps, missing, noise, sample_findings, too_wide
+from ahnn.data.doctor.samples import gaps, missing, noise, runs_of_outliers, sample_findings, too_wide
 from ahnn.data.files.content import Content
 from ahnn.data.files.reading import FileReading
 from ahnn.data.files.samples import Track
@@ -83,6 +83,24 @@ def test_lengths_may_jump_and_swing_as_they_like():
     steps[30] = TURN
     values = 30 * np.cos(np.cumsum(steps))
     assert list(sample_findings(content(track(values), units=("s", "m")), 10.0)) == []
+
+
+@pytest.mark.parametrize(("first", "last"), [(20, 28), (0, 3), (47, 50)])
+@pytest.mark.parametrize("factor", [1000.0, 1e5])
+def test_several_values_of_another_unit_are_named_with_their_rows(first, last, factor):
+    t, phases = 0.05 * np.arange(51), (0.3, 1.1, 2.0, 4.5)
+    swings = [np.cos(2 * t + phase)[:, None] for phase in phases]
+    assert not list(runs_of_outliers(content(*map(track, swings)), ("q",)))
+    swings[2][first : last + 1] *= factor
+    (found,) = runs_of_outliers(content(*map(track, swings)), ("q",))
+    assert (found.level, found.row, found.column) == ("warning", first + 2, "q")
+    assert f"{last - first + 1} successive values, rows {first + 2} to {last + 2}," in found.what
+
+
+def test_a_trajectory_that_swings_much_wider_than_the_others_is_no_run_of_outliers():
+    t = 0.05 * np.arange(51)
+    swings = [size * np.cos(2 * t + size)[:, None] for size in (1e-3, 2e-3, 3e-3, 1.0)]
+    assert not list(runs_of_outliers(content(*map(track, swings)), ("q",)))
 
 
 def tensors(values):
