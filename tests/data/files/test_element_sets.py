@@ -154,7 +154,7 @@ def test_an_orbit_that_decays_is_refused_from_when_it_does():
     )
     assert k > 1
     said = (
-        rf"SGP4 propagates; received after {3600 * k:g} s: {api.SGP4_ERRORS[code]}. Shorten system.duration"
+        rf"SGP4 can propagate; received after {3600 * k:g} s: {api.SGP4_ERRORS[code]}. Shorten system.duration"
     )
     with pytest.raises(UserError, match=said):
         elements.content(f"{heavy}\n{low}", "a.tle", 3600.0, 3.6e6, weighed=False)

@@ -76,7 +76,7 @@ def test_how_far_a_mean_is_from_the_rate_at_its_middle_is_said():
     (data,) = tdm_data(kvn(meta, "".join(lines)), "a.tdm")
     apart = values(data, "range_rate") - 1e-6 * data.times**2
     assert apart == pytest.approx(np.full(6, 8.333e-6), rel=1e-3)
-    assert data.remarks[-1].endswith("at their middles, off by up to about 8.3 mm/s")
+    assert data.remarks[-1].endswith("at their midpoints, off by up to about 8.3 mm/s")
 
 
 @BOTH
