@@ -265,7 +265,7 @@ def test_an_evaluation_tells_what_forecasts_hold(tmp_path):
     case = make_case(tmp_path, flow=Learned(), test=truth, measured=measured(truth), uncertainty=uncertainty)
     findings = evaluate(case, {}, figures=False)
     told = findings.rows[0].note.splitlines()
-    assert [line.split()[0] for line in told] == ["relative", "residuals", "its", "forecasts"]
+    assert [line.split()[0] for line in told] == ["relative", "residuals", "bands", "forecasts"]
     assert "true states" in findings.rows[0].note
     assert findings.numbers["forecast"]["trajectories"] == 3
     bare = evaluate(dataclasses.replace(case, uncertainty=None), {}, figures=False)
