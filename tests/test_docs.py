@@ -19,7 +19,7 @@ from helpers import close, generator
 
 from ahnn.cli import commandline
 from ahnn.cli.build import stored
-from ahnn.cli.compose import compose_job
+from ahnn.cli.compose import compose_job, with_recorded
 from ahnn.cli.help import ABOUT
 from ahnn.cli.reevaluation import Request, run_config
 from ahnn.cli.reproduction_plan import plan
@@ -176,7 +176,7 @@ def test_a_documented_command_names_what_there_is(command, tmp_path, monkeypatch
         if any("experiment=best" in word for word in words):
             words = [word for word in words if word != "experiment=best"]  # that is what a search writes
             (tmp_path / words[words.index("--config-dir") + 1]).mkdir(parents=True)
-        commandline.check(commandline.read(words[3:]), "train")
+        commandline.check(commandline.read(with_recorded(words[3:])), "train")
     elif words[:3] == ["python", "-m", "ahnn.evaluate"] and words[3:] != ["--help"]:
         request = Request.of(words[3:], "usage")
         cfg = compose_job(["experiment=molniya_central_body", "plugins=ukf"], tmp_path)
