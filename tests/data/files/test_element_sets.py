@@ -153,9 +153,7 @@ def test_an_orbit_that_decays_is_refused_from_when_it_does():
         if (code := satellite.sgp4(satellite.jdsatepoch, satellite.jdsatepochF + k / 24)[0])
     )
     assert k > 1
-    said = (
-        rf"SGP4 can propagate; received after {3600 * k:g} s: {api.SGP4_ERRORS[code]}. Shorten system.duration"
-    )
+    said = rf"can propagate; received after {3600 * k:g} s: {api.SGP4_ERRORS[code]}. Shorten system.duration"
     with pytest.raises(UserError, match=said):
         elements.content(f"{heavy}\n{low}", "a.tle", 3600.0, 3.6e6, weighed=False)
 
