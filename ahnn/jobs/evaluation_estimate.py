@@ -33,8 +33,9 @@ def evaluation_seconds(prepared: Prepared) -> float:
         return seconds
     count, samples = test.states.shape[:2]
     flows: list[tuple[Flow, int]] = [(dynamics, 2 * count)]
-    if data.source.truth is not None:
-        flows.append((exact_flow(data.source.truth), count))
+    truth = None if data.source.truth is None else exact_flow(data.source.truth)
+    if truth is not None and not clock_of(truth):
+        flows.append((truth, count))
     states, dt = data.examples(), float(data.statistics().dt)
     each = sum(_step_seconds(flow, states, rows, dt) for flow, rows in flows)
     filters = sum(hasattr(plugin, "estimator") for plugin in plan.plugins.values())
