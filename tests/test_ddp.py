@@ -101,7 +101,10 @@ REFUSED = {
         ["hydra.mode=MULTIRUN", "trainer=ddp", "optimizer=adamw"],
         "hydra/launcher=ahnn_process",
     ),
-    "devices that are not there": (["trainer.accelerator=cuda", "trainer.devices=99"], "trainer: "),
+    "devices that are not there": (
+        ["trainer.accelerator=cuda", "trainer.devices=99"],
+        "trainer.accelerator: ",
+    ),
 }
 
 

@@ -147,7 +147,7 @@ def test_known_forces_alone_stand_beside_a_model_that_adds_to_them(tmp_path):
     judge = Horizon(8, 1e-9, 0, period=5.0, unit="week", mu=[MU * (1 + STRONGER), MU])
     judge.check(None, case.space, 9)
     start = case.test.states[:, 0]
-    kinds = judge(dataclasses.replace(case, flow=learned)).numbers["errors"]
+    kinds = judge(dataclasses.replace(case, flow=learned.frozen())).numbers["errors"]
     assert all(len(errors) == 2 for kind in kinds.values() for errors in kind.values())
     assert max(kinds["fitted"][TWO_BODY]) < 1e-4 < 1e-3 < min(kinds["fitted"]["learned"])
     known = rollout(
