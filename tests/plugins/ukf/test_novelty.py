@@ -123,7 +123,7 @@ def test_what_cannot_grow_is_refused():
     with pytest.raises(UserError, match=r"novelty: expected float >= 0 or None"):
         UKFEvaluation(**options | {"novelty": "much"})
 
-    with pytest.raises(UserError, match=r"novelty: expected weights with their training domain"):
+    with pytest.raises(UserError, match=r"novelty: expected weights that describe their training data"):
         of_rate(None, 500.0)
     assert of_rate(None, None) is None
 
