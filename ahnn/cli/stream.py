@@ -228,23 +228,12 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
 
     controls = None if asked.controls is None else known_controls(asked.controls, time, run)
 
-    def carry(states: Tensor, times: Tensor, covariances: Tensor) -> Tensor:
-        if names := control_names(run):
-            message = (
-                "start: expected the covariance of its last state, since the controls before it are "
-                f"unknown, {', '.join(names)}; received that of an earlier one. Add start_sd="
-            )
-            raise UserError(message)
-        predicted = run.predict(states, times, start_covariance=covariances).covariances
-        assert predicted is not None
-        return predicted[:, -1]
-
     def case() -> Case:
         splits = SplitData(source(), list(cfg.data.split), build_sensor(cfg, source()))
         about = {"label": cfg.label, "seed": cfg.evaluation.seed, "folder": run.folder}
         return make_case(run.dynamics, splits, **about, uncertainty=run.uncertainty, domain=run.domain)
 
-    belief = belief_of(found, deviations, run.space, carry, many=asked.objects is not None)
+    belief = belief_of(found, deviations, run.space, carrier(run), many=asked.objects is not None)
     limits = {"window": asked.window, "lines": asked.lines, "gap": asked.gap}
     process = build_process(cfg, run, case, asked.gate)
     if asked.objects is None:
@@ -260,6 +249,23 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
         filtering.begun |= {} if asked.shard is None else {"shard": asked.shard}
     name = asked.object or (found.names[0] if isinstance(asked.start, str) else "UNKNOWN")
     return Stream(asked, run.space, filtering, clock, reference, name, control_names(run), fitted=line)
+
+
+def carrier(run: Run) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
+    """Return the map of states, times and covariances of the first to the covariance of the last."""
+
+    def carry(states: Tensor, times: Tensor, covariances: Tensor) -> Tensor:
+        if names := control_names(run):
+            message = (
+                "start: expected the covariance of its last state, since the controls before it are "
+                f"unknown, {', '.join(names)}; received that of an earlier one. Add start_sd="
+            )
+            raise UserError(message)
+        predicted = run.predict(states, times, start_covariance=covariances).covariances
+        assert predicted is not None
+        return predicted[:, -1]
+
+    return carry
 
 
 def turn_stations(nodes: Any, reference: Reference) -> None:

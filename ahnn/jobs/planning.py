@@ -121,13 +121,26 @@ def plan(asked: PlanRequest) -> None:
     spreads = made.variances.sqrt().tolist()
     table = [row_of(found[k], times, begin, clock) for k in made.chosen]
     title = f"{run.folder.name}: forecast {at:g} {clock} ahead, {len(table)} of {len(found)} sessions"
-    lines = [("", f"sd of position [{position}]"), ("before", f"{spreads[0]:.4g}")]
-    for (name, first, last, count), sd in zip(table, spreads[1:], strict=True):
-        lines.append((f"{name}, {first} to {last}, {count} measurements", f"{sd:.4g}"))
-    lines += beside(rows, forecast, len(table), spreads[-1])
-    show("\n".join([title, *(f"  {text:66s}{value:>22s}".rstrip() for text, value in lines)]))
+    show(
+        "\n".join(
+            [title, *lines_of(table, spreads, position), *beside(rows, forecast, len(table), spreads[-1])]
+        )
+    )
     if asked.output is not None:
         write_atomically(Path(asked.output), as_csv(table, spreads[1:], position).encode())
+
+
+def lines_of(table: list[tuple[str, str, str, int]], spreads: list[float], unit: str) -> list[str]:
+    """Return the sessions in lines, each with the standard deviation of the forecast after it."""
+    lines = [line("", f"sd of position [{unit}]"), line("before", f"{spreads[0]:.4g}")]
+    for (name, first, last, count), sd in zip(table, spreads[1:], strict=True):
+        lines.append(line(f"{name}, {first} to {last}, {count} measurements", f"{sd:.4g}"))
+    return lines
+
+
+def line(text: str, value: str) -> str:
+    """Return a line of the summary."""
+    return f"  {text:66s}{value:>22s}".rstrip()
 
 
 def stations_of(file: str, begin: Starts, run: Run) -> list[PlannedSensor]:
@@ -203,16 +216,17 @@ def row_of(one: Candidate, times: Tensor, begin: Starts, clock: str) -> tuple[st
     return one.name, first, last, len(one.samples)
 
 
-def beside(rows: list[Tensor], forecast: Tensor, count: int, reached: float) -> list[tuple[str, str]]:
+def beside(rows: list[Tensor], forecast: Tensor, count: int, reached: float) -> list[str]:
     """Compare a plan with sessions at equal spacing in time: as many, and the number that is as good."""
     lines = []
     for more in range(count, len(rows) + 1):
         equal = [rows[k] for k in evenly_spaced(len(rows), more)]
         spread = float(variance_with(equal, forecast).sqrt())
         if more == count:
-            lines.append((f"{count} sessions at equal spacing", f"{spread:.4g}"))
+            lines.append(line(f"{count} sessions at equal spacing", f"{spread:.4g}"))
         if spread <= reached:
-            return [*lines, (f"{more} sessions at equal spacing", f"{spread:.4g}")] if more > count else lines
+            more_of = line(f"{more} sessions at equal spacing", f"{spread:.4g}")
+            return [*lines, more_of] if more > count else lines
     return lines
 
 
