@@ -12,6 +12,7 @@ from ahnn.systems.gravity import GravityField, eigen6s, ggm05c, read_gfc
 from ahnn.systems.gravity.ggm05c import PERMANENT_TIDE
 from ahnn.tracking.accelerations import AccelerationTerm
 from ahnn.tracking.accelerations.acceleration_of_time import AccelerationOfTime, CubicSplines, Powers
+from ahnn.tracking.accelerations.atmospheres import HarrisPriester, exponential
 from ahnn.tracking.accelerations.atmospheric_drag import AtmosphericDrag
 from ahnn.tracking.accelerations.earth_gravity import EarthGravity
 from ahnn.tracking.accelerations.earth_tide import EarthTide
@@ -94,7 +95,9 @@ def prepared_forces(
     if choice.radiation_pressure is not None:
         terms.append(RadiationPressure(choice.radiation_pressure.area_to_mass, bodies.sun))
     if choice.drag is not None:
-        terms.append(AtmosphericDrag(choice.drag.area_to_mass))
+        bulge = HarrisPriester(bodies.sun, choice.drag.exponent)
+        air = bulge if choice.drag.atmosphere == "harris_priester" else exponential
+        terms.append(AtmosphericDrag(choice.drag.area_to_mass, air))
     for one in (choice.radiation_pressure, choice.drag):
         mean += [one.coefficient] if one is not None else []
         deviations += [one.sd] if one is not None else []

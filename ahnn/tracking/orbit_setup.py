@@ -51,7 +51,7 @@ class GravityChoice:
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceForce:
-    """Radiation pressure or drag.
+    """Radiation pressure, or what drag shares with it.
 
     Attributes:
         area_to_mass: m^2/kg.
@@ -62,6 +62,19 @@ class SurfaceForce:
     area_to_mass: Positive
     coefficient: Finite = 1.0
     sd: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class DragChoice(SurfaceForce):
+    """Drag, and the air.
+
+    Attributes:
+        atmosphere: exponential layers, or Harris-Priester with the bulge of the day.
+        exponent: of Harris-Priester's bulge, from 2 for low inclinations to 6 for polar orbits.
+    """
+
+    atmosphere: Literal["exponential", "harris_priester"] = "exponential"
+    exponent: Annotated[float, Within(2, 6)] = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +106,7 @@ class ForcesChoice:
     solid_tides: bool = False
     relativity: bool = False
     radiation_pressure: SurfaceForce | None = None
-    drag: SurfaceForce | None = None
+    drag: DragChoice | None = None
     learned: LearnedChoice | None = None
 
 

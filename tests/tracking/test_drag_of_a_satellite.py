@@ -9,7 +9,7 @@ import pytest
 from entry import call
 from low_satellite import COEFFICIENT, FILE, lines
 
-from ahnn.tracking.accelerations.atmospheric_drag import atmosphere
+from ahnn.tracking.accelerations.atmospheres import atmosphere
 
 
 @pytest.mark.parametrize(

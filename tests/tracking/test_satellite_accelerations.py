@@ -14,7 +14,8 @@ from ahnn.tracking.accelerations.acceleration_of_time import (
     Powers,
     orbital_axes,
 )
-from ahnn.tracking.accelerations.atmospheric_drag import AtmosphericDrag, atmosphere
+from ahnn.tracking.accelerations.atmospheres import DAY, HEIGHTS, LAG, NIGHT, HarrisPriester, atmosphere
+from ahnn.tracking.accelerations.atmospheric_drag import AtmosphericDrag
 from ahnn.tracking.accelerations.earth_gravity import EarthGravity
 from ahnn.tracking.accelerations.earth_tide import LOVE, RADIUS, EarthTide
 from ahnn.tracking.accelerations.radiation_pressure import RadiationPressure, lit_fraction
@@ -40,6 +41,7 @@ def terms():
         SchwarzschildTerm(MU),
         RadiationPressure(0.01, lambda t: 400 * body(t)),
         AtmosphericDrag(0.01),
+        AtmosphericDrag(0.01, HarrisPriester(body, 4.0)),
         AccelerationOfTime(Powers(0.0, 1000.0, 2, 1e-7), "inertial"),
         AccelerationOfTime(CubicSplines(0.0, 1000.0, 4, 1e-7), "inertial"),
     ]
@@ -177,3 +179,20 @@ def test_moon_and_sun_pull_at_the_distance_of_lageos_as_textbooks_say():
     sun = ThirdBody(1.327e11, found.sun)(0.0, R, V, np.empty(0)).value
     assert 0.5e-9 < np.linalg.norm(moon) < 3e-9
     assert 0.3e-9 < np.linalg.norm(sun) < 1.5e-9
+
+
+@pytest.mark.parametrize("exponent", [2.0, 6.0])
+def test_air_is_densest_behind_the_sun_and_thinnest_opposite(exponent):
+    """The values of the table at 400 km (Montenbruck & Gill 2000, 3.5.2), and between at a right angle."""
+    sun = np.array([1.5e8, 0.0, 0.0])
+    air = HarrisPriester(lambda _: sun, exponent)
+    bulge = np.array([np.cos(LAG), np.sin(LAG), 0.0])
+    r = 6778.137 * bulge
+    assert air(0.0, r)[0] == pytest.approx(7.492e-12, rel=1e-12)
+    assert air(0.0, -r)[0] == pytest.approx(2.249e-12, rel=1e-12)
+    across = 6778.137 * np.array([0.0, 0.0, 1.0])
+    half = 0.5 ** (exponent / 2)
+    assert air(0.0, across)[0] == pytest.approx(2.249e-12 * (1 - half) + 7.492e-12 * half, rel=1e-12)
+    between = air(0.0, -6788.137 * bulge)[0]
+    assert between == pytest.approx((2.249e-12 * 1.558e-12) ** 0.5, rel=1e-12)  # exponential in between
+    assert len(HEIGHTS) == len(DAY) == len(NIGHT) == 50
