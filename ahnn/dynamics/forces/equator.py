@@ -28,7 +28,8 @@ class EllipticEquator(Force):
         radius: equatorial radius R, in the unit of the positions.
         angle: from the first axis to the prime meridian at time zero, rad.
         rate: of that angle, rad per unit of time.
-        cosine, sine: C and S; None, both, to learn them.
+        cosine: C; None to learn C and S.
+        sine: S, likewise.
 
     Raises:
         UserError: not three coordinates, or one of C and S without the other.
