@@ -135,7 +135,7 @@ def test_a_known_force_stands_beside_a_learned_one(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(("stiffness", "better"), [(5.0, False), (4.0, True)])
 def test_known_physics_stays_the_result_where_no_later_weights_are_better(tmp_path, stiffness, better):
-    """The system's own spring leaves the error of the integrator at most, 1e-6 of the force; a soft one more."""
+    """The system's own spring leaves at most the error of the integrator; a soft one leaves more."""
     spring = ["hamiltonian=mechanical", "forces=springs", f"model.forces.springs.stiffness={stiffness}"]
     judged = ["callbacks.rollout.count=5", "callbacks.best.monitor=val/rollout"]
     run = trained(tmp_path / "run", *spring, *judged)
