@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import itertools
+import math
 import time
 from collections.abc import Callable
 from statistics import median
@@ -23,6 +24,8 @@ TRIALS = 3
 """Maximum number of timed steps."""
 ENOUGH = 0.25
 """Seconds of steps that suffice for timing: of longer steps only one is timed."""
+LONG, SHARES = 0.5, (1 / 8, 1 / 4)
+"""Seconds of a step on the first share of a batch, from which on only shares are timed, and these shares."""
 REFITTED = 0.5
 """Relative cost of a step that starts from previously fitted initial states."""
 FUNCTIONS = 1.7
@@ -99,10 +102,14 @@ def amounts(data: WindowDataModule, per_epoch: int, epochs: range) -> list[int]:
 
 def _validation_seconds(model: Any, data: WindowDataModule) -> float:
     """Return the time of a validation, from that of its first batch."""
-    batches = data.val_dataloader()
-    first = next(iter(batches))
-    with torch.no_grad():
-        return len(batches) * _median(lambda: model.curriculum.judge.validation(model.dynamics, first))
+    loader = data.val_dataloader()
+    draw = loader.batches()[0]
+
+    @torch.no_grad()
+    def validation(share: float) -> None:
+        model.curriculum.judge.validation(model.dynamics, loader.gather(_part(draw, share)))
+
+    return len(loader) * _of_whole(validation)
 
 
 def step_seconds(model: Any, data: WindowDataModule, objective: Objective) -> float:
@@ -113,23 +120,43 @@ def step_seconds(model: Any, data: WindowDataModule, objective: Objective) -> fl
     loader = data.train_dataloader()
     draws = itertools.cycle(loader.batches()[: TRIALS + 1])
 
-    def step() -> None:
-        loss = stepper.step(objective, model.loss, dynamics, loader.gather(next(draws)), optimizer)
+    def step(share: float) -> None:
+        batch = loader.gather(_part(next(draws), share))
+        loss = stepper.step(objective, model.loss, dynamics, batch, optimizer)
         if stepper.automatic:
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
 
-    return _median(step, TRIALS)
+    return _of_whole(step, TRIALS)
+
+
+def _part(draw: torch.Tensor, share: float) -> torch.Tensor:
+    """Return the first indices of a batch."""
+    return draw[: math.ceil(len(draw) * share)]
+
+
+def _of_whole(work: Callable[[float], Any], repeats: int = 1) -> float:
+    """Return the time of work on a whole batch; if that takes long, extrapolated from two shares of it."""
+    small, large = SHARES
+    first = _median(lambda: work(small))
+    if first < LONG:
+        return _median(lambda: work(1.0), repeats)
+    second = _timed(lambda: work(large))
+    return second + (1 - large) / (large - small) * max(second - first, 0.0)
 
 
 def _median(work: Callable[[], Any], repeats: int = 1) -> float:
     """Return the median time of a function after a warm-up call."""
     times = []
     while len(times) < 2 or (len(times) <= repeats and sum(times[1:]) < ENOUGH):
-        begin = time.perf_counter()
-        work()
-        if torch.cuda.is_initialized():
-            torch.cuda.synchronize()
-        times.append(time.perf_counter() - begin)
+        times.append(_timed(work))
     return median(times[1:])
+
+
+def _timed(work: Callable[[], Any]) -> float:
+    begin = time.perf_counter()
+    work()
+    if torch.cuda.is_initialized():
+        torch.cuda.synchronize()
+    return time.perf_counter() - begin

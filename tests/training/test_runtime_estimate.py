@@ -42,6 +42,19 @@ class Data:
         return SimpleNamespace(times=torch.zeros(1000))
 
 
+class FourBatches:
+    """Four batches of five windows, which are gathered as their own indices."""
+
+    def __len__(self):
+        return 4
+
+    def batches(self):
+        return torch.arange(20).split(5)
+
+    def gather(self, batch):
+        return batch
+
+
 @pytest.mark.parametrize(
     ("first", "closing", "last"),
     [(Shooting(4), 0, 270), (Shooting(4), 3, 420), (Weak(), 0, 1540), (Weak(), 3, 2590)],
@@ -71,6 +84,20 @@ def test_steps_that_take_long_are_timed_once(each, calls, monkeypatch):
     assert len(done) == calls
 
 
+@pytest.mark.parametrize(("fixed", "whole", "shares"), [(0.01, 1.0, [1 / 8, 1 / 8, 1, 1]), (3.0, 60.0, None)])
+def test_long_steps_are_timed_on_shares_of_a_batch(fixed, whole, shares, monkeypatch):
+    """A step takes a fixed time and one in proportion to its batch; a long one is never taken as a whole."""
+    clock, done = [0.0], []
+
+    def work(share):
+        clock[0] += fixed + whole * share
+        done.append(share)
+
+    monkeypatch.setattr(runtime_estimate.time, "perf_counter", lambda: clock[0])
+    assert runtime_estimate._of_whole(work) == pytest.approx(fixed + whole)
+    assert done == (shares or [1 / 8, 1 / 8, 1 / 4])
+
+
 def test_each_epoch_counts_its_steps_its_validation_and_the_callbacks_that_say_so(monkeypatch):
     """Epochs 2 to 4 of 5: steps of 0.5 s up to the third, of 2 s after it, and validations of 3 s."""
     one, other = object(), object()
@@ -86,12 +113,13 @@ def test_each_epoch_counts_its_steps_its_validation_and_the_callbacks_that_say_s
 
 def test_a_validation_takes_as_long_as_its_first_batch_for_each_of_them(monkeypatch):
     seen = []
-    monkeypatch.setattr(runtime_estimate, "_median", lambda work, *_: work() or 3.0)
-    judge = SimpleNamespace(validation=lambda *given: seen.append(given))
+    monkeypatch.setattr(runtime_estimate, "_of_whole", lambda work: work(0.3) or 3.0)
+    judge = SimpleNamespace(validation=lambda dynamics, batch: seen.append((dynamics, batch.tolist())))
     model = SimpleNamespace(dynamics="dynamics", curriculum=SimpleNamespace(judge=judge))
-    data = SimpleNamespace(val_dataloader=lambda: ["first", "second", "third", "fourth"])
+    loader = FourBatches()
+    data = SimpleNamespace(val_dataloader=lambda: loader)
     assert runtime_estimate._validation_seconds(model, data) == 12.0  # pyright: ignore
-    assert seen == [("dynamics", "first")]
+    assert seen == [("dynamics", [0, 1])]
 
 
 @pytest.mark.parametrize(("rows", "samples"), [(4, 20), (320, 80)])

@@ -111,8 +111,8 @@ class Horizon:
         measured, ahead = self._measured(case), []
         for name, flow in self.flows(case).items():
             starts = {"true": case.test.states[:, 0], "fitted": fitted_start(flow, measured, case)}
-            for kind, start in starts.items():
-                states = predicted(flow, start, case, case.test.states.shape[1])
+            found = predicted(flow, torch.cat(list(starts.values())), case, case.test.states.shape[1])
+            for kind, states in zip(starts, found.chunk(len(starts)), strict=True):
                 ahead.append(Ahead(name, kind, states, self.by_period(states, case)))
         others = [one for one in ahead if one.name != case.label]
         rows = [Row(Who(one.name, "true"), case.score(one.states)) for one in others if one.start == "true"]
