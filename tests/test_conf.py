@@ -94,7 +94,7 @@ def test_every_option_of_the_core_can_be_built(tmp_path, group, option):
     assert model.optimisation is not None
 
 
-OFTEN = 5
+OFTEN = 10
 PAIRS = [
     pytest.param(model, system, marks=() if (i + j) % OFTEN == 0 else pytest.mark.slow)
     for (i, model), (j, system) in product(enumerate(GROUPS["model"]), enumerate(GROUPS["system"]))

@@ -116,6 +116,7 @@ MISTAKES = {
 }
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_is_one_message_and_leaves_nothing(mistake, tmp_path, capfd, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -11,7 +11,8 @@ from ahnn.data.files.kinds import TRACKING, kind_of
 from ahnn.data.files.raw import content_of
 from ahnn.data.files.reading import FileReading
 from ahnn.errors import UserError
-from ahnn.evaluation.data_findings import checkup, draw
+from ahnn.evaluation.data_figures import draw
+from ahnn.evaluation.data_findings import checkup
 from ahnn.evaluation.terminal import show
 from ahnn.files import require_writable
 from ahnn.jobs.tracking_checking import tracking_check

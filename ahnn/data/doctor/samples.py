@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ahnn.data.doctor.finding import Finding, Level
-from ahnn.data.doctor.slopes import through_neighbours
+from ahnn.data.doctor.slopes import neighbours, through_neighbours, weights
 from ahnn.data.files.content import Content
 from ahnn.data.files.samples import Track, filled, stacked
 from ahnn.data.files.table import Fault
@@ -18,7 +18,8 @@ from ahnn.data.noise_floor import ORDERS, SHARE, differences_level, looked_at, n
 FAR = 30.0
 """Deviation from the local polynomial, in units of its uncertainty, beyond which a sample is an outlier."""
 EVEN, LEAST = 0.1, 1e-6
-"""Outlier criteria: maximum difference of neighbours, and minimum size relative to all samples."""
+"""Outlier criteria: the part of its neighbours' deviations that a sample may not explain, and its least size
+relative to all samples."""
 WIDE, NEAR = 100.0, 10.0
 """Deviation from the median of a file, in robust standard deviations, that a run of values of another scale
 reaches, and that all of its values exceed.
@@ -108,10 +109,14 @@ def outliers(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
         warnings.simplefilter("ignore", RuntimeWarning)  # columns without a number
         typical, size = np.nanmedian(off, axis=0), np.nanmax(np.abs(track.values), axis=0)
     doubt = np.abs(near[0] - near[1]) + 0.1 * np.abs(near[1] - near[2]) + typical
-    before, behind = np.roll(left, 1, axis=0), np.roll(left, -1, axis=0)
-    alone = np.abs(before - behind) < EVEN * off  # a jump with continuing samples is not an outlier
-    highest = (off > np.abs(before)) & (off > np.abs(behind))
-    far = alone & highest & (off > FAR * doubt) & (off > LEAST * size)
+    pulled = weights(track.times[neighbours(at, 4)] - track.times[at, None], 0)[
+        :, 3:5, None
+    ]  # by k - 1, k + 1
+    before, behind = (np.roll(part, by, axis=0) for part, by in ((left, 1), (left, -1)))
+    expected = [-np.roll(pulled[:, k], by, axis=0) * left for k, by in ((1, 1), (0, -1))]
+    apart = np.maximum(np.abs(before - expected[0]), np.abs(behind - expected[1]))
+    alone = apart < EVEN * off  # the neighbours are off by as much as this sample explains; a jump has others
+    far = alone & (off > FAR * doubt) & (off > LEAST * size)
     for k, c in zip(*np.nonzero(far), strict=True):
         what = f"an outlier: {off[k, c]:.2g} from the curve through its neighbours"
         remedy = "Correct it, leave the cell empty, or train with loss.robust=student"

@@ -100,6 +100,11 @@ def roughness(times: Array, values: Array, at: NDArray[np.int64]) -> Array:
 
 def through_neighbours(times: Array, values: Array, at: NDArray[np.int64], count: int) -> Array:
     """Return interpolated values from polynomials through neighbours on both sides, (K, C)."""
-    window = at[:, None] + np.delete(np.arange(-count, count + 1), count)
+    window = neighbours(at, count)
     offsets = times[window] - times[at, None]
     return np.einsum("kj,kjc->kc", weights(offsets, 0), values[window])
+
+
+def neighbours(at: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Return the indices (K, 2 count) of as many samples on each side of samples (K,)."""
+    return at[:, None] + np.delete(np.arange(-count, count + 1), count)

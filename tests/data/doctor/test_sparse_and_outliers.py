@@ -66,6 +66,19 @@ def test_an_outlier_of_a_kilometre_is_named_and_nothing_beside_it(tmp_path, off,
     assert "loss.robust=student" in found[0].remedy
 
 
+def test_outliers_beside_missing_samples_are_found_too(tmp_path):
+    """Polynomials through uneven samples swing: neighbours are off by different amounts, or by more."""
+    draw = np.random.default_rng(1)
+    at = np.flatnonzero(draw.random(3000) > 0.06)
+    rows = np.arange(100, 2700, 100)
+    x = np.sin(at / 300) + 0.005 * draw.standard_normal(len(at))
+    x[rows] += 0.8
+    lines = "".join(f"{k * 0.01!r},{value!r}\n" for k, value in zip(at.tolist(), x.tolist(), strict=True))
+    (tmp_path / "a.csv").write_text(f"t,x\n{lines}")
+    found = examine([tmp_path / "a.csv"], FileReading()).findings
+    assert [one.row for one in found if "outlier" in one.what] == (rows + 2).tolist()
+
+
 def test_maneuvers_and_jumps_are_no_outliers(tmp_path):
     t, states = ellipse(90, 100)
     _, other = ellipse(90, 100, 0.1)

@@ -10,7 +10,7 @@ from ahnn.evaluation import Who, load_results
 SMALL = ["trainer.max_epochs=1", "model.network.width=4", "data.windows_per_epoch=200", "logger=none"]
 SMALL += ["trainer.accelerator=cpu", "callbacks.rollout.count=2"]
 PLANETS = ["experiment=planets", "system.samples=40", "data.batch_size=20", "loss.stages=[[6,1.0]]"]
-KNOWN = ["experiment=planets_known", "system.samples=60", "plugins.horizon.arc=40", "data.batch_size=20"]
+KNOWN = ["experiment=planets_known", "system.samples=60", "plugins.horizon.arc=40", "window=59"]
 MOLNIYA = ["experiment=real_molniya", "system.samples=300", "plugins.horizon.arc=200", "data.batch_size=200"]
 
 
