@@ -31,7 +31,8 @@ def innovations(record: AssimilationRecord, space: Space) -> Figure:
     for k, (axes, name) in enumerate(zip(panels, record.measured, strict=True)):
         there = np.isfinite(record.innovation[:, k])
         t, value, wide = time[there], record.innovation[there, k], 3.0 * record.deviation[there, k]
-        axes.fill_between(t, -wide, wide, color=style.BAND, alpha=0.5, lw=0, label="±3σ")
+        at, band_wide = style.parted(t, wide)
+        axes.fill_between(at, -band_wide, band_wide, color=style.BAND, alpha=0.5, lw=0, label="±3σ")
         axes.axhline(0, color=style.BLACK, lw=0.6)
         taken = ~refused[there]
         limit = 2.0 * float(np.median(wide)) if len(t) else 1.0

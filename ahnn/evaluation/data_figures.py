@@ -32,8 +32,6 @@ LINES, BINS = 40, 80
 """Maximum number of lines for findings; above it, their number in each of so many bins is drawn."""
 NAMED = 8
 """Maximum number of findings with their row beside them."""
-PARTED = 5.0
-"""Steps longer than this multiple of the median one are not bridged by a line."""
 
 
 def draw(found: Examined, folder: Path) -> None:
@@ -99,7 +97,7 @@ def curves(panels: Any, content: Content, shown: Sequence[Track]) -> None:
     for c, name in enumerate((*content.positions, *content.rates)):
         look: dict[str, Any] = {**LOOKS[c % n % len(LOOKS)], "marker": ".", "ms": 3 if c < n else 0}
         for part in shown:
-            panels[int(c >= n)].plot(*parted(part.times, part.values[:, c]), **look, label=name)
+            panels[int(c >= n)].plot(*style.parted(part.times, part.values[:, c]), **look, label=name)
     panels[0].set_ylabel(f"position [{content.units.position}]")
     if not content.rates:
         return
@@ -109,15 +107,6 @@ def curves(panels: Any, content: Content, shown: Sequence[Track]) -> None:
         if change is not None:
             look = {"color": style.BLACK, "ls": "none", "marker": "+", "ms": 4, "zorder": 4}
             panels[1].plot(part.times[change.at], change.values, **look, label="change of the positions")
-
-
-def parted(times: Array, values: Array) -> tuple[Array, Array]:
-    """Return samples (T,) with a NaN in each long step, so that a line does not bridge it."""
-    steps = np.diff(times)
-    if not len(steps):
-        return times, values
-    after = np.flatnonzero(steps > PARTED * np.median(steps)) + 1
-    return np.insert(times, after, times[after]), np.insert(values, after, np.nan)
 
 
 def rings(

@@ -9,6 +9,7 @@ import io
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
@@ -36,6 +37,8 @@ ERRORS = "viridis"
 LOST = 1e30
 """Values from this size on are treated as lost and excluded from axis limits."""
 NAMES = ("position", "velocity")
+PARTED = 5.0
+"""Steps longer than this multiple of the median one are not bridged by a line."""
 
 
 class Axis(NamedTuple):
@@ -144,6 +147,13 @@ def logarithmic(axes: Any, first: int, others: Iterable[Any] = ()) -> None:
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 30 * low else (1.0,)))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def parted(times: Any, *columns: Any) -> list[Any]:
+    """Return times (T,) and columns (T,) with a NaN in each long step, so that a line does not bridge it."""
+    steps = np.diff(times)
+    after = np.flatnonzero(steps > PARTED * np.median(steps)) + 1 if len(steps) else []
+    return [np.insert(times, after, times[after]), *(np.insert(one, after, np.nan) for one in columns)]
 
 
 def near(axes: Any, points: Tensor) -> None:
