@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 
+from ahnn.clock import Clock, extended
 from ahnn.jobs.prepared import Prepared
 from ahnn.rollouts import clock_of
 from ahnn.systems import exact_flow
@@ -25,21 +26,24 @@ FIGURES = 3.0
 
 
 def evaluation_seconds(prepared: Prepared) -> float:
-    """Estimate the time of predictions, filters, tests and figures in seconds."""
+    """Estimate the time of predictions, filters, tests and figures in seconds.
+
+    A plugin's method `rollouts` returns how many rollouts over so many samples take as long as it does.
+    """
     data, plan = prepared.data, prepared.assessment
     test, dynamics = data.splits["test"], prepared.model.dynamics.frozen()
     seconds = FIGURES if plan.report.get("figures", True) else 0.0
-    if clock_of(dynamics):  # flows under controls are not timed
-        return seconds
     count, samples = test.states.shape[:2]
     flows: list[tuple[Flow, int]] = [(dynamics, 2 * count)]
     truth = None if data.source.truth is None else exact_flow(data.source.truth)
-    if truth is not None and not clock_of(truth):
+    if truth is not None:
         flows.append((truth, count))
     states, dt = data.examples(), float(data.statistics().dt)
     each = sum(_step_seconds(flow, states, rows, dt) for flow, rows in flows)
     filters = sum(hasattr(plugin, "estimator") for plugin in plan.plugins.values())
-    seconds += samples * each * (1 + FILTERED * filters)
+    costs = (getattr(plugin, "rollouts", None) for plugin in plan.plugins.values())
+    more = sum(cost(samples) for cost in costs if cost is not None)
+    seconds += samples * each * (1 + FILTERED * filters + more)
     if data.stages is not None:
         seconds += TESTS * shooting_seconds(prepared.model, data) * data.measured("test").times.numel()
     return seconds
@@ -49,6 +53,8 @@ def evaluation_seconds(prepared: Prepared) -> float:
 def _step_seconds(flow: Any, states: torch.Tensor, rows: int, dt: float) -> float:
     """Return the median time of a step of so many states, after a warm-up call."""
     x, times = states[torch.arange(rows) % len(states)], list[float]()
+    clock = x.new_zeros(clock_of(flow))
+    x = extended(x, Clock(clock, clock))
     for _ in range(TIMED + 1):
         begin = time.perf_counter()
         flow(x, dt)

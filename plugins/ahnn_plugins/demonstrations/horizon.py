@@ -22,6 +22,8 @@ from ahnn_plugins.demonstrations.two_body import kepler
 TWO_BODY, KNOWN = "two-body", "known part"
 ROUNDS, SETTLED = 8, 1e-6
 """Gauss-Newton steps of a start at most, and the relative change of a sum of squares that is none."""
+USUAL = 4
+"""Steps of a start that are usual."""
 NUDGE = 1e-6
 """Differences of starts, relative to distance and speed."""
 
@@ -90,6 +92,10 @@ class Horizon:
         if not 6 <= self.arc <= steps:
             message = f"arc: expected from 6 to {steps} samples, those of a trajectory; received {self.arc}"
             raise UserError(message)
+
+    def rollouts(self, samples: int) -> float:
+        """Return the cost in rollouts over so many samples: those of the learned and of the known flow."""
+        return 2.0 * (1.0 + USUAL * self.arc / samples)
 
     def flows(self, case: Case) -> dict[str, Flow]:
         """Return the flows by name, the learned one first."""
