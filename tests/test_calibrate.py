@@ -94,6 +94,8 @@ def test_what_is_finished_is_kept_shown_and_drawn(tmp_path, capfd, caplog):
         (["experiment=spring_noisy", "draws=0"], "draws"),
         (["experiment=spring_noisy", "spread=2"], "spread"),
         (["experiment=nothing"], "experiment"),
+        (["experiment=spring_noisy", "run=mine"], "run: expected no value, since each draw has its own"),
+        (["experiment=spring_noisy", "data.seed=3"], "data.seed: expected no value"),
     ],
 )
 def test_mistakes_are_one_message_before_any_work(words, message, capfd, tmp_path):

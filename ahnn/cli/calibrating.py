@@ -24,6 +24,8 @@ from ahnn.files import require_writable, write_atomically
 log = logging.getLogger("ahnn")
 FIGURE = "calibration.png"
 OWN = ("plugins=none", "evaluation=scores", "logger=none")
+DRAWN = ("run", "seed", "seeds", "data.seed", "ckpt")
+"""Keys that differ from draw to draw."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,12 @@ def calibrate(arguments: list[str]) -> None:
     keys = {field.name for field in fields(CalibrationRequest)}
     own = [text for text in arguments if text.partition("=")[0] in keys]
     overrides = [text for text in arguments if text not in own]
+    for key in (text.partition("=")[0] for text in overrides):
+        if key in DRAWN:
+            message = (
+                f"{key}: expected no value, since each draw has its own; received one. Use draws= and output="
+            )
+            raise UserError(message)
     asked = read_pairs(own or ["jobs=1"], CalibrationRequest, "")
     numbers = range(1, asked.draws + 1) if asked.only is None else [asked.only]
     plan = [CalibrationDraw(number, Path(asked.output, f"draw_{number}")) for number in numbers]
