@@ -135,7 +135,7 @@ def race(cap: float) -> str:
         times = shown(fast), f"> {shown(cap * fast)}" if slow is None else shown(slow)
         beside = f"< {shown(1 / cap)}" if slow is None else shown(fast / slow)
         lines.append([f"{name}, {TASKS[name][1]:g} {UNITS[name]}", *times, beside])
-    return markdown(("wall clock [s] to", "ahnn", "plain way", "ahnn / plain way"), lines)
+    return markdown(("wall clock [s] to", "ahnn", "plain loop", "ahnn / plain loop"), lines)
 
 
 def main() -> None:
