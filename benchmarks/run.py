@@ -34,8 +34,7 @@ OPENING = """# Benchmarks
 
 `make bench` compares ahnn with other programs on identical work, in turn, on one thread, and writes this
 page. `python benchmarks/run.py --only filter,rollouts --repeats 3` repeats some sections. Times are medians
-of CPU time unless stated otherwise; ratios are medians over the repeats and are below 1 where ahnn is
-faster.
+of CPU time unless stated otherwise; ratios are medians over the repeats, below 1 where ahnn is faster.
 
 ![Time of ahnn divided by the time of each other program](benchmarks.png)
 """
@@ -54,8 +53,8 @@ class Section(NamedTuple):
 SECTIONS = {
     "training": Section(
         "Training steps",
-        """A step consists of the Huber loss of recursive predictions over a window, its gradient and an
-AdamW update, for a generic Hamiltonian network of three degrees of freedom with RK4, in float32,
+        """A step is the Huber loss of recursive predictions over a window, its gradient and an AdamW
+update, for a generic Hamiltonian network of three degrees of freedom with RK4, in float32,
 without Lightning. The floor is the time of the network's multiply-adds as matrix products in
 PyTorch.
 
@@ -63,7 +62,7 @@ PyTorch.
 - **torchdiffeq**: this field through `odeint(method="rk4")`, the 3/8 rule.
 - **JAX**: Equinox and Optax, the full step jitted; compilation time is excluded.
 
-ahnn uses its fused optimiser and steps compiled from C, as in every training run; the other
+ahnn uses a fused optimiser and steps compiled from C, as in every training run; the other
 PyTorch programs use the default optimiser.""",
         lambda repeats: table([*works.training(repeats)], "one step [ms]"),
         15,
@@ -71,8 +70,8 @@ PyTorch programs use the default optimiser.""",
     ),
     "rollouts": Section(
         "Rollouts",
-        """The network and the integrator of the training steps, with all states stored, as in
-`run.rollout`. The full rollout is jitted in JAX; diffrax uses constant steps and the classical
+        """The network and the integrator are those of the training steps; all states are stored, as in
+`run.rollout`. JAX jits the full rollout; diffrax takes constant steps with the classical
 Runge-Kutta tableau.""",
         lambda repeats: table([*works.rollouts(repeats)], "1,440 steps [ms]"),
         7,
@@ -80,19 +79,19 @@ Runge-Kutta tableau.""",
     ),
     "filter": Section(
         "The filter",
-        """The motion is that of two bodies with J2, with a position after every step, in float64. `ahnn` is
-the filter with the compiled flow of `system=molniya`, a composition of order eight with 17
-stages. The other programs take one Runge-Kutta step: `torch` is the filter of ahnn with a flow
-in PyTorch, and `compiled` adds `torch.compile`; dynamax and cuthbert are jitted. filterpy
-filters one member at a time. The floor is the compiled flow on all sigma points.""",
+        """Each filter follows two-body motion with J2 and receives a position after every step, in float64.
+`ahnn` uses the compiled flow of `system=molniya`, of order eight with 17 stages. The other
+columns take one Runge-Kutta step: `torch` is the filter of ahnn with a flow in PyTorch, and
+`compiled` adds `torch.compile`; dynamax and cuthbert are jitted; filterpy filters one trajectory
+at a time. The floor is the compiled flow on all sigma points.""",
         lambda repeats: filter_works.table([*filter_works.filters(repeats)]),
         7,
         filter_works.NEEDS,
     ),
     "generation": Section(
         "Generation",
-        """The work is one day of 2,500 Molniya orbits about an oblate planet, with one state per minute.
-heyoka integrates vectorised Taylor series; compilation time is excluded. DOP853 integrates five
+        """The task is one day of 2,500 Molniya orbits about an oblate planet, with one state per minute.
+heyoka integrates vectorised Taylor series, without compilation time; DOP853 integrates five
 orbits, and its time is scaled up. Position errors are relative to heyoka at tolerance 1e-18.""",
         bench_generation.generation,
         5,
@@ -100,8 +99,8 @@ orbits, and its time is scaled up. Position errors are relative to heyoka at tol
     ),
     "second_order": Section(
         "Levenberg-Marquardt",
-        """One step in float64. The floor is the time of its matrix products; optimistix takes a jitted step
-with the same number of residuals and the same network. Times on two cores are wall clock and
+        """The table gives times of one step in float64. The floor is its matrix products; optimistix takes
+a jitted step with as many residuals of the same network. Times on two cores are wall clock and
 need an idle machine.""",
         bench_second_order.steps,
         3,
@@ -109,38 +108,38 @@ need an idle machine.""",
     ),
     "lightning": Section(
         "Through Lightning",
-        f"""A fit of {STEPS} steps with the default callbacks and TensorBoard, networks of three layers of
-128 units and batches of 256. `barebones` is Lightning's trainer without callbacks, logger and
-checkpoints. The bare loop uses the batches and the optimiser of ahnn; plain AdamW uses the
-defaults of PyTorch.""",
+        f"""Each fit takes {STEPS} steps with the default callbacks and TensorBoard, three layers of 128
+units and batches of 256. `barebones` is Lightning's trainer without callbacks, logger and
+checkpoints. The bare loop uses the batches and the optimiser of ahnn; plain AdamW uses
+PyTorch defaults.""",
         lambda repeats: table([*bench_training_step.measured(STEPS, repeats)], "one step [ms]"),
         3,
         {},
     ),
     "epoch": Section(
         "One epoch end to end",
-        f"""The data are {WINDOWS:,} windows of the spring in batches of 256, with trajectories in memory.
-The time of ahnn is that of a complete fit, including a validation on 256 windows, logger and
-checkpoint. The plain loop uses a per-sample DataLoader, the field as `autograd.grad` of the same
-network, and AdamW with its defaults.""",
+        f"""An epoch is {WINDOWS:,} windows of the spring in batches of 256, with trajectories in memory. ahnn
+runs a complete fit, including validation on 256 windows, logger and checkpoint. The plain loop
+uses a per-sample DataLoader, the field as `autograd.grad` of the same network, and AdamW with
+its defaults.""",
         lambda repeats: table([*bench_epoch.measured(WINDOWS, repeats)], "one epoch [s]", 1.0),
         3,
         {},
     ),
     "accuracy": Section(
         "Time to a given accuracy",
-        f"""The table gives the wall-clock time until rollouts of 25 validation trajectories reach the
-accuracy of the paper's AHNN5, for the default recipe and for a plain training loop (one-step
-loss, AdamW with batch size 256 from a per-sample DataLoader, autograd), which is stopped at
-{CAP:g} times the time of ahnn.""",
+        f"""The table gives the time until rollouts of 25 validation trajectories reach the accuracy of AHNN5
+in the paper, for the default recipe and for a plain training loop (one-step loss, AdamW with
+batch size 256 from a per-sample DataLoader, autograd), which is stopped at {CAP:g} times the time of
+ahnn.""",
         lambda _: bench_time_to_accuracy.race(CAP),
         1,
         {},
     ),
     "startup": Section(
         "Start-up",
-        """Complete processes that end after the first optimiser step, with trajectories and compiled parts
-cached. The other programs take one AdamW step on random numbers, without configuration or data.""",
+        """Each process ends after the first optimiser step, with trajectories and compiled parts cached.
+The other programs take one AdamW step on random numbers, without configuration or data.""",
         bench_startup.startup,
         5,
         bench_startup.NEEDS,
