@@ -34,7 +34,7 @@ OPENING = """# Benchmarks
 
 `make bench` compares ahnn with other programs on identical work, in turn, on one thread, and writes this
 page. `python benchmarks/run.py --only filter,rollouts --repeats 3` repeats some sections. Times are medians
-of CPU time unless stated otherwise; ratios are medians over the repeats, below 1 where ahnn is faster.
+of CPU time unless stated; ratios are medians over the repeats, below 1 where ahnn is faster.
 
 ![Time of ahnn divided by the time of each other program](benchmarks.png)
 """
@@ -118,7 +118,7 @@ PyTorch defaults.""",
     ),
     "epoch": Section(
         "One epoch end to end",
-        f"""An epoch is {WINDOWS:,} windows of the spring in batches of 256, with trajectories in memory. ahnn
+        f"""An epoch has {WINDOWS:,} windows of the spring in batches of 256, with trajectories in memory. ahnn
 runs a complete fit, including validation on 256 windows, logger and checkpoint. The plain loop
 uses a per-sample DataLoader, the field as `autograd.grad` of the same network, and AdamW with
 its defaults.""",
