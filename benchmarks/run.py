@@ -118,8 +118,8 @@ PyTorch defaults.""",
     ),
     "epoch": Section(
         "One epoch end to end",
-        f"""An epoch has {WINDOWS:,} windows of the spring in batches of 256, with trajectories in memory. ahnn
-runs a complete fit, including validation on 256 windows, logger and checkpoint. The plain loop
+        f"""An epoch has {WINDOWS:,} windows of the spring in batches of 256, with trajectories in memory.
+ahnn runs a complete fit, including validation on 256 windows, logger and checkpoint. The plain loop
 uses a per-sample DataLoader, the field as `autograd.grad` of the same network, and AdamW with
 its defaults.""",
         lambda repeats: table([*bench_epoch.measured(WINDOWS, repeats)], "one epoch [s]", 1.0),
