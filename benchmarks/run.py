@@ -53,10 +53,10 @@ class Section(NamedTuple):
 SECTIONS = {
     "training": Section(
         "Training steps",
-        """A step is the Huber loss of recursive predictions over a window, its gradient and an AdamW
-update, for a generic Hamiltonian network of three degrees of freedom with RK4, in float32,
-without Lightning. The floor is the time of the network's multiply-adds as matrix products in
-PyTorch.
+        """A step computes the Huber loss of recursive predictions over a window and its gradient, and
+applies AdamW to a generic Hamiltonian network of three degrees of freedom with RK4, in
+float32, without Lightning. The floor is the time of the network's multiply-adds as matrix
+products in PyTorch.
 
 - **autograd.grad**: plain PyTorch, the field as `autograd.grad` of the energy.
 - **torchdiffeq**: this field through `odeint(method="rk4")`, the 3/8 rule.
