@@ -32,11 +32,11 @@ STEPS, WINDOWS = 150, 51200
 """Steps of a fit through Lightning, and windows of an epoch."""
 OPENING = """# Benchmarks
 
-`make bench` measures ahnn and its peers on the same work, alternating, on one thread, and writes this page.
-`python benchmarks/run.py --only filter,rollouts --repeats 3` repeats some sections. Times are medians of CPU
-time unless stated; ratios are medians over the repeats, below 1 where ahnn is faster.
+`make bench` compares ahnn with other programs on identical work, in turn, on one thread, and writes this
+page. `python benchmarks/run.py --only filter,rollouts --repeats 3` repeats some sections. Times are medians
+of CPU time unless stated; ratios are medians over the repeats, below 1 where ahnn is faster.
 
-![Time of ahnn over that of each peer](benchmarks.png)
+![Time of ahnn divided by the time of each other program](benchmarks.png)
 """
 
 
@@ -53,85 +53,93 @@ class Section(NamedTuple):
 SECTIONS = {
     "training": Section(
         "Training steps",
-        """A generic Hamiltonian network of three degrees of freedom, RK4, the Huber loss of recursive
-predictions over a window, its gradient and AdamW, in float32, without Lightning. The floor is the time
-of the network's multiply-adds as matrix products of torch.
+        """A step computes the Huber loss of recursive predictions over a window and its gradient, and
+applies AdamW to a generic Hamiltonian network of three degrees of freedom with RK4, in
+float32, without Lightning. The floor is the time of the network's multiply-adds as matrix
+products in PyTorch.
 
 - **autograd.grad**: plain PyTorch, the field as `autograd.grad` of the energy.
-- **torchdiffeq**: the same field through `odeint(method="rk4")`, its 3/8 rule.
-- **JAX**: Equinox and Optax, the whole step jitted; without compilation.
+- **torchdiffeq**: this field through `odeint(method="rk4")`, the 3/8 rule.
+- **JAX**: Equinox and Optax, the full step jitted; compilation time is excluded.
 
-ahnn has a fused optimiser and steps in C, as in any training; PyTorch peers have the default optimiser.""",
+ahnn uses a fused optimiser and steps compiled from C, as in every training run; the other
+PyTorch programs use the default optimiser.""",
         lambda repeats: table([*works.training(repeats)], "one step [ms]"),
         15,
         {peer: works.NEEDS[peer] for peer in ("torchdiffeq", "JAX")},
     ),
     "rollouts": Section(
         "Rollouts",
-        """The same network and steps with all states kept, as in `run.rollout`. JAX jits the whole
-rollout; diffrax takes constant steps with the classical tableau.""",
+        """The network and the integrator are those of the training steps; all states are stored, as in
+`run.rollout`. JAX jits the full rollout; diffrax takes constant steps with the classical
+Runge-Kutta tableau.""",
         lambda repeats: table([*works.rollouts(repeats)], "1,440 steps [ms]"),
         7,
         works.NEEDS,
     ),
     "filter": Section(
         "The filter",
-        """Two bodies with J2, a position after every step, float64. `ahnn` is the filter with the compiled
-flow of `system=molniya`, 17 stages of order eight. The others take one Runge-Kutta step: `torch` is the
-same filter with a flow in torch, `compiled` that through `torch.compile`; dynamax and cuthbert are
-jitted. The floor is the compiled flow on all sigma points. filterpy has one member.""",
+        """Each filter follows two-body motion with J2 and receives a position after every step, in float64.
+`ahnn` uses the compiled flow of `system=molniya`, of order eight with 17 stages. The other
+columns take one Runge-Kutta step: `torch` is the filter of ahnn with a flow in PyTorch, and
+`compiled` adds `torch.compile`; dynamax and cuthbert are jitted; filterpy filters one trajectory
+at a time. The floor is the compiled flow on all sigma points.""",
         lambda repeats: filter_works.table([*filter_works.filters(repeats)]),
         7,
         filter_works.NEEDS,
     ),
     "generation": Section(
         "Generation",
-        """A day of 2,500 Molniya orbits about an oblate planet, a state a minute. heyoka integrates by
-vectorised Taylor series, without compilation; DOP853 integrates five orbits, and its time is scaled.
-Errors of positions are relative to heyoka at tolerance 1e-18.""",
+        """The task is one day of 2,500 Molniya orbits about an oblate planet, with one state per minute.
+heyoka integrates vectorised Taylor series, without compilation time; DOP853 integrates five
+orbits, and its time is scaled up. Position errors are relative to heyoka at tolerance 1e-18.""",
         bench_generation.generation,
         5,
         bench_generation.NEEDS,
     ),
     "second_order": Section(
         "Levenberg-Marquardt",
-        """A step in float64. The floor is its matrix products; optimistix takes a jitted step on as many
-residuals of the same network. Times on two cores are wall clock and need an idle machine.""",
+        """The table gives times of one step in float64. The floor is its matrix products; optimistix takes
+a jitted step with as many residuals of the same network. Times on two cores are wall clock and
+need an idle machine.""",
         bench_second_order.steps,
         3,
         bench_second_order.NEEDS,
     ),
     "lightning": Section(
         "Through Lightning",
-        f"""A fit of {STEPS} steps with the default callbacks and TensorBoard, networks of three layers of
-128, batches of 256. `barebones` is Lightning's trainer without callbacks, logger and checkpoints. The
-bare loop has the same batches and the optimiser of ahnn; plain AdamW has torch's defaults.""",
+        f"""Each fit takes {STEPS} steps with the default callbacks and TensorBoard, three layers of 128
+units and batches of 256. `barebones` is Lightning's trainer without callbacks, logger and
+checkpoints. The bare loop uses the batches and the optimiser of ahnn; plain AdamW uses
+PyTorch defaults.""",
         lambda repeats: table([*bench_training_step.measured(STEPS, repeats)], "one step [ms]"),
         3,
         {},
     ),
     "epoch": Section(
         "One epoch end to end",
-        f"""{WINDOWS:,} windows of the spring in batches of 256, trajectories in memory. ahnn is the whole fit
-with a validation of 256 windows, logger and checkpoint. The plain loop has a per-sample DataLoader, the
-field as `autograd.grad` of the same network, and AdamW with its defaults.""",
+        f"""An epoch has {WINDOWS:,} windows of the spring in batches of 256, with trajectories in memory.
+ahnn runs a complete fit, including validation on 256 windows, logger and checkpoint. The plain loop
+uses a per-sample DataLoader, the field as `autograd.grad` of the same network, and AdamW with
+its defaults.""",
         lambda repeats: table([*bench_epoch.measured(WINDOWS, repeats)], "one epoch [s]", 1.0),
         3,
         {},
     ),
     "accuracy": Section(
         "Time to a given accuracy",
-        f"""Wall clock until rollouts of 25 validation trajectories reach the paper's AHNN5: the default
-recipe, and the plain way (one-step loss, AdamW at batch 256 from a per-sample DataLoader, autograd),
-stopped at {CAP:g} times our time.""",
+        f"""The table gives the time until rollouts of 25 validation trajectories reach the accuracy of AHNN5
+in the paper, for the default recipe and for a plain training loop (one-step loss, AdamW with
+batch size 256 from a per-sample DataLoader, autograd), which is stopped at {CAP:g} times the time of
+ahnn.""",
         lambda _: bench_time_to_accuracy.race(CAP),
         1,
         {},
     ),
     "startup": Section(
         "Start-up",
-        """Whole processes that end after their first optimiser step, with trajectories and compiled parts
-cached. Peers take one step of AdamW on random numbers, without configuration or data.""",
+        """Each process ends after the first optimiser step, with trajectories and compiled parts cached.
+The other programs take one AdamW step on random numbers, without configuration or data.""",
         bench_startup.startup,
         5,
         bench_startup.NEEDS,
