@@ -69,7 +69,7 @@ class ControlTable(NamedTuple):
         near = NEAR * float(times[-1] - times[0])
         if float(times[0]) < float(self.times[0]) - near:
             message = (
-                f"controls: expected values from the start on, at {float(times[0]):g}; received the first at "
+                f"controls: expected values at the start, time {float(times[0]):g}; received the first at "
                 f"{float(self.times[0]):g}"
             )
             raise UserError(message)

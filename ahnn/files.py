@@ -104,7 +104,7 @@ def _remove_unfinished(folder: Path, known: dict[str, set[str]] | None) -> None:
             continue
         with contextlib.suppress(OSError), path.open("r+b") as file:  # it is gone, or its writer is alive
             lock(file, wait=False)
-            path.unlink()  # refused by Windows, where the file stays
+            path.unlink()  # not possible on Windows, where the file stays
 
 
 @contextlib.contextmanager

@@ -85,7 +85,7 @@ def check_given(overrides: Sequence[str], folder: str | Path) -> list[str]:
         key = override.key_or_group
         if key not in READ and key.replace("/", ".").split(".")[0] in ("system", "hydra", *ELSEWHERE):
             message = (
-                "fit: expected the data as `trajectories` and the folder as `folder`, and one training; "
+                "fit: expected the data as `trajectories` and the folder as `folder`, and one training run; "
                 f"received {override.input_line}"
             )
             raise UserError(message)

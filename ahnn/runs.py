@@ -164,8 +164,8 @@ class Run:
         """
         if self.uncertainty is None:
             message = (
-                f"band: expected {FILE} in {self.folder}, of these weights; received none. Only a "
-                "training on measurements writes it, for its best weights"
+                f"band: expected {FILE} in {self.folder}, of these weights; received none. Only training on "
+                "measurements writes it, for the best weights"
             )
             raise UserError(message)
         dt = self.dt if dt is None else dt
@@ -183,7 +183,7 @@ class Run:
             UserError: the weights contain no representative training states.
         """
         if self.domain is None:
-            message = "novelty: expected weights with their training domain; received old ones. Train again"
+            message = "novelty: expected weights with their training domain; received none. Train again"
             raise UserError(message)
         return self.domain.novelty(self._exact, states_of(x, "x", self.dynamics, self.space).double())
 

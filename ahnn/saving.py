@@ -36,7 +36,7 @@ def save(
         UserError: a folder with content, weights that are not finite, or a space or data of other states.
     """
     if not isinstance(dynamics, Dynamics) or not hasattr(dynamics, "spec"):
-        message = f"dynamics: expected those of ahnn.Hamiltonian or its like; received {described(dynamics)}"
+        message = f"dynamics: expected an ahnn.Hamiltonian or similar; received {described(dynamics)}"
         raise UserError(message)
     check_space(space)
     target, known = Path(folder), dynamics.frozen().cpu()

@@ -93,7 +93,7 @@ def stream(run: ahnn.Run, folder: Path, lines: int) -> dict[str, Any]:
         "latency of a line [ms], median, 99.9 %, worst (bar 20)": "{:.2f}, {:.2f}, {:.2f}".format(
             *(1e3 * np.quantile(took, [0.5, 0.999, 1.0]))
         ),
-        "resident memory from a tenth on, growth (bar 10 %)": f"{settled[0]:.0f} MB, "
+        "resident memory after a tenth, growth (bar 10 %)": f"{settled[0]:.0f} MB, "
         f"{100 * (max(settled) / settled[0] - 1):.2f} %",
     }
 
@@ -132,7 +132,7 @@ def killed(folder: Path, kills: int, seed: int) -> dict[str, Any]:
         done += process.wait() == -signal.SIGKILL
     subprocess.run(command(folder, "parts"), check=True, stderr=subprocess.DEVNULL)
     equal = out.read_bytes() == whole.read_bytes()
-    return {f"all estimates after {done} kills equal, bit for bit (bar: the last one)": equal}
+    return {f"all estimates bit-identical after {done} kills (bar: the last estimate)": equal}
 
 
 def beside_batch(run: ahnn.Run, path: Path, count: int = 500) -> dict[str, Any]:
@@ -150,7 +150,7 @@ def beside_batch(run: ahnn.Run, path: Path, count: int = 500) -> dict[str, Any]:
     off = float(((estimate.mean - mean) / mean).abs().max())
     spread = float(((estimate.covariance - covariance) / torch.outer(sd, sd)).abs().max())
     return {
-        f"mean beside the batch filter after {count} lines, relative (bar 1e-12)": f"{off:.1e}",
+        f"mean compared with the batch filter after {count} lines, relative (bar 1e-12)": f"{off:.1e}",
         "covariance, relative to its deviations": f"{spread:.1e}",
     }
 

@@ -140,7 +140,7 @@ def main() -> None:
     """Measure what the file does not have, and print the factors."""
     kind = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=kind)
-    parser.add_argument("--seconds", type=float, help="CPU time of each training, in place of whole commands")
+    parser.add_argument("--seconds", type=float, help="CPU time of each run, instead of complete commands")
     parser.add_argument("--seeds", type=int, nargs="+", default=[7, 201, 719])
     parser.add_argument("--systems", nargs="+", default=list(LEVELS), choices=LEVELS)
     parser.add_argument("--recipes", nargs="+", default=list(RECIPES), choices=RECIPES)

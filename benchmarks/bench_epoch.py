@@ -70,7 +70,7 @@ def plain_epoch(batches: DataLoader, dt: float) -> None:
 def measured(windows: int, repeats: int) -> Iterator[Row]:
     """Yield rows for each length of windows: loading alone, and the epoch."""
     for window in LENGTHS:
-        load = Row(f"window {window}, batches alone", {"ahnn": [], "plain loop": []}, None)
+        load = Row(f"window {window}, batches only", {"ahnn": [], "plain loop": []}, None)
         epoch = Row(f"window {window}, the epoch", {"ahnn": [], "plain loop": []}, None)
         for repeat in range(-1, repeats):
             with tempfile.TemporaryDirectory() as folder:

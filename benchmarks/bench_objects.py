@@ -160,7 +160,7 @@ def beside_solo(folder: Path, flow: str, fixes: int, count: int, seed: int) -> d
         off = max(off, *(float(block.max()) for block in blocks))
         spread = max(spread, float(np.abs((numbers[6:] - covariance[lower]) / np.outer(sd, sd)[lower]).max()))
     return {
-        f"{count} objects beside solo runs, relative (bar 1e-12)": f"{off:.1e}",
+        f"{count} objects compared with separate runs, relative (bar 1e-12)": f"{off:.1e}",
         "covariances, relative to their deviations": f"{spread:.1e}",
     }
 
@@ -179,7 +179,7 @@ def killed(folder: Path, flow: str, kills: int, seed: int) -> dict[str, Any]:
         running.send_signal(signal.SIGKILL)
         done += running.wait() == -signal.SIGKILL
     subprocess.run([*command, "parts"], check=True, stdout=subprocess.DEVNULL)
-    return {f"all estimates after {done} kills equal, bit for bit": out.read_bytes() == whole.read_bytes()}
+    return {f"all estimates bit-identical after {done} kills": out.read_bytes() == whole.read_bytes()}
 
 
 def main() -> None:
@@ -193,7 +193,7 @@ def main() -> None:
     parser.add_argument("--flows", nargs="+", default=["exact", "learned"])
     parser.add_argument("--parquet", action="store_true", help="files are Parquet, in and out")
     parser.add_argument("--place", help="folder for the files; a temporary one without")
-    for name in ("folder", "flow", "name"):  # of one session, of its own process
+    for name in ("folder", "flow", "name"):  # of one session in a separate process
         parser.add_argument(f"--{name}", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.folder and options.name:

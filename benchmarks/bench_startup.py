@@ -69,7 +69,7 @@ def works(folder: str) -> dict[str, dict[str, tuple[str, ...]]]:
         step["JAX"] = ("-c", JAX)
     load = "import ahnn; ahnn.load('molniya_mechanical')"
     return {
-        "first step of a training with its defaults": step,
+        "first step of a training run with its defaults": step,
         "a model that is loaded by `ahnn.load`": {"ahnn": ("-c", load), IMPORT: ("-c", IMPORT)},
         "the help of `ahnn.train`": {"ahnn": ("-m", "ahnn.train", "--help"), IMPORT: ("-c", IMPORT)},
     }

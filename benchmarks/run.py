@@ -159,7 +159,9 @@ def chosen() -> argparse.Namespace:
     arguments = parser.parse_args()
     arguments.only = arguments.only.split(",")
     if unknown := {*arguments.only} - SECTIONS.keys():
-        parser.error(f"--only: expected some of {', '.join(SECTIONS)}; received {', '.join(sorted(unknown))}")
+        parser.error(
+            f"--only: expected one or more of {', '.join(SECTIONS)}; received {', '.join(sorted(unknown))}"
+        )
     return arguments
 
 

@@ -38,7 +38,7 @@ def main() -> None:
     x, now, lines = torch.tensor([START], dtype=torch.float64), 0.0, []
     while (dt := float(draw.exponential(20.0)) + 0.1) + now < 3600 * HOURS:
         x, now = flow(x, dt), now + dt
-        if 5.0 < now / 3600 < 6.0:  # nobody listens
+        if 5.0 < now / 3600 < 6.0:  # no reception
             continue
         q = x[0, :3].numpy() + SD * draw.normal(size=3)
         q += 50.0 * (draw.uniform() < 0.01) * draw.normal(size=3)

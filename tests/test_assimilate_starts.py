@@ -78,7 +78,7 @@ def test_a_start_holds_at_its_epoch(arguments, begins):
 
 MISTAKES = {
     "a date of a start, and no epoch": ([*NUMBERS, PLAIN, f"time={dated(3)}"], "time: expected epoch= of"),
-    "no date": ([*NUMBERS, PLAIN, "time=noon"], "epoch= of time zero beside a date; received noon"),
+    "no date": ([*NUMBERS, PLAIN, "time=noon"], "a date together with epoch= of time zero; received noon"),
     "numbers, and nobody says from when": ([START, PLAIN], "expected epochs, since the start has an epoch"),
     "two times": ([START, PLAIN, FROM_NOON, "time=3"], "time: expected none, since the start file"),
     "dates, and no epoch": (

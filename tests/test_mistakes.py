@@ -103,7 +103,7 @@ MISTAKES = {
     "threads=100000": "threads: expected int from 1 to 1024; received 100000",
     "seeds=7": "seeds: expected a list of int from 0 to 4294967295 or None; received 7",
     "seeds=[7,x]": "seeds: expected a list of int from 0",
-    "seeds=[7,7]": "seeds: expected different ones",
+    "seeds=[7,7]": "seeds: expected different seeds",
     "evaluation.seed=x": "evaluation.seed: expected int from 0 to 4294967295; received 'x'",
     "model.window=7": "unknown key 'model.window'; did you mean 'window'?",
     "data.window=3": "unknown key 'data.window'; did you mean 'window'?",
@@ -159,8 +159,8 @@ def test_a_refusal_leaves_none_of_the_folders_above_that_it_made(named, there, t
         (["experiment=molniya_mechanical", "data.noise=0.1"], "data.noise: expected a recipe for"),
         (["system=molniya", "sensor=orbit_states", "recipe=eccentric"], "loss.balance: expected 0 with"),
         (["data.noise=0.1", "recipe=second_order", "loss.balance=0.5"], "loss.balance: expected 0 with"),
-        (["system=molniya", "sensor=orbit_positions", "hamiltonian=mechanical"], "recipe: expected one that"),
-        (["experiment=molniya_positions", "hamiltonian=mechanical"], "recipe: expected one that"),
+        (["system=molniya", "sensor=orbit_positions", "hamiltonian=mechanical"], "recipe: expected a recipe"),
+        (["experiment=molniya_positions", "hamiltonian=mechanical"], "recipe: expected a recipe"),
     ],
 )
 def test_no_recipe_learns_noise_unless_it_is_named(given, said, tmp_path, capfd, monkeypatch):

@@ -168,7 +168,7 @@ HUBER = ("loss.robust=huber", "recipe=measurements", "hamiltonian=mechanical")
         ([], "data.noise: expected the standard deviations of the recorded measurements"),
         (["data.noise=0.01"], "Use hamiltonian=mechanical or central_body"),
         (["data.noise=0.01", "recipe=measurements"], "Use hamiltonian=mechanical or central_body"),
-        (["data.noise=0.01", "data.measured=state", "recipe=measurements"], "received positions alone"),
+        (["data.noise=0.01", "data.measured=state", "recipe=measurements"], "received only positions"),
         (
             ["data.noise=0.01", "data.every=3", "recipe=measurements"],
             "nothing is added; received data.every=3",

@@ -65,8 +65,8 @@ class Catalogue:
         moments = _checked_starts(start, None if objects is None else names, times)
         if clock_of(process.flow) > 1:
             message = (
-                "process: expected forces that depend only on state and time, for many objects; "
-                "received some that depend on controls"
+                "process: expected forces that depend only on state and time, for many objects; received "
+                "forces that depend on controls"
             )
             raise UserError(message)
         self.sensors, self.size = dict(sensors), start.mean.shape[-1]
@@ -208,7 +208,10 @@ class Catalogue:
             sds = deviations[sensors == k][:, own]
             lacking = sensor.deviations is None and np.isnan(sds).any()
             if lacking or (sds <= 0).any():
-                message = f"sd: expected standard deviations > 0 for {name}; received others, or none"
+                message = (
+                    f"sd: expected a standard deviation > 0 for each measurement of {name}; received none "
+                    "or one <= 0"
+                )
                 raise UserError(message)
 
 

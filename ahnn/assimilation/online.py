@@ -208,14 +208,16 @@ class Assimilation:
         """Return the settings of a saved state that differ from ours, for messages; "" if none."""
         if notes["of"] != self.identity:
             return (
-                "state: expected a state of this model, process noise, gate, sensors and window; "
-                f"received {path} of different ones. Repeat the original command, or remove it and its "
-                "output to start over"
+                "state: expected a state of this model, process noise, gate, sensors and window; received "
+                "{path}, saved with different ones. Repeat the original command, or remove it and its "
+                "output to "
+                "start over"
             )
         if notes["controls"] != self.controls.hash_before(time):
             return (
-                f"controls: expected those of {path} up to time {time:g}; received different ones. Use "
-                "the same controls, with new rows only at the end, or start over with a new state and output"
+                f"controls: expected the controls stored in {path} up to time {time:g}; received different "
+                "controls. Use the same controls, with new rows only at the end, or start over with a new "
+                "state and output"
             )
         return ""
 

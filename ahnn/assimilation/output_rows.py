@@ -191,11 +191,11 @@ class Output:
         head = rows.header().encode()[: self.size]
         self.file.seek(0)
         if self.file.read(len(head)) != head:
-            return "other content"
+            return "a changed file"
         begin = self.file.seek(max(0, self.size - TAIL))
         self._tail, behind = self.file.read(self.size - begin), self.file.read().decode(errors="replace")
         if self.digest != tail or not rows.wrote(behind, line, begin=self.size == 0):
-            return "other content"
+            return "a changed file"
         self.file.truncate(self.size)
         self.file.seek(self.size)
         return ""

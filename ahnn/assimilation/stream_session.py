@@ -277,8 +277,8 @@ class StreamSession:
         theirs = {"format": known.kind, CLOCK: known.clock, **known.begun}
         if changed := [key for key, value in mine.items() if theirs.get(key) != value]:
             message = (
-                f"{changed[0]}: expected the value stored in {self.state}; received another. Repeat the "
-                "original command, or start over with a new state and output"
+                f"{changed[0]}: expected the value stored in {self.state}; received a different value. "
+                "Repeat the original command, or start over with a new state and output"
             )
             raise UserError(message)
         self.header, self.nis, self.numbers = known.header, known.nis, known.numbers

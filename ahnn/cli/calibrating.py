@@ -34,7 +34,7 @@ class CalibrationRequest:
     spread: Annotated[float, Within(0, 1)] = 0.1
     jobs: Count = 1
     output: str = "runs/calibration"
-    only: Count | None = None  # this draw alone, counted from 1: what the command starts
+    only: Count | None = None  # only this draw, counted from 1; the command starts itself with it
 
 
 class CalibrationDraw(NamedTuple):
@@ -75,7 +75,7 @@ def calibrate(arguments: list[str]) -> None:
         rank_figure(scores).savefig(Path(asked.output, FIGURE), dpi=120)
     if failed:
         places = ", ".join(str(draw.number) for draw in failed)
-        message = f"calibrate: {len(failed)} of {len(plan)} trainings failed, see above: draw {places}"
+        message = f"calibrate: {len(failed)} of {len(plan)} training runs failed, see above: draw {places}"
         raise TrainingError(message)
 
 
@@ -88,8 +88,8 @@ def constants_of(overrides: list[str], spread: float, number: int) -> list[str]:
     source = build_source(cfg)
     if source.truth is None or build_sensor(cfg, source) is None:
         message = (
-            "calibrate: expected simulated measurements of a system; received exact states or files. "
-            "Add sensor= or data.noise=, such as experiment=spring_noisy"
+            "calibrate: expected simulated measurements of a system; received exact states or files. Add "
+            "sensor= or data.noise=, such as experiment=spring_noisy"
         )
         raise UserError(message)
     drawn = random.Random(number)

@@ -250,10 +250,10 @@ def check_recipe(cfg: DictConfig, overrides: Iterable[str]) -> None:
             raise UserError(message)
     elif noise is not None and not any(text.startswith(NAMES_A_RECIPE) for text in overrides):
         message = (
-            "data.noise: expected a recipe for noisy measurements; received noise with one for exact "
-            "samples. Use recipe=measurements, recipe=noisy_states for dense samples of whole states, "
-            "recipe=dense_states for those of orbits, or an option of sensor, which brings a recipe, "
-            "sensor=recorded for files"
+            "data.noise: expected a recipe for noisy measurements; received noise with a recipe for exact "
+            "samples. Use recipe=measurements, recipe=noisy_states for dense samples of states, "
+            "recipe=dense_states for dense samples of orbits, or an option of sensor, which selects a "
+            "recipe, sensor=recorded for files"
         )
         raise UserError(message)
 
@@ -271,7 +271,7 @@ def check_potential(cfg: DictConfig, overrides: Iterable[str]) -> None:
     named = any(text.startswith(NAMES_A_RECIPE) for text in overrides)
     if meant and isinstance(stages[0][0], int) and not begun and not named:
         message = (
-            "recipe: expected one that learns a whole potential from positions of orbits; received none, "
+            "recipe: expected a recipe that learns a full potential from positions of orbits; received none, "
             "and the sensor's default recipe does not find the orbits. Use recipe=noisy_positions, or "
             "hamiltonian=central_body if the central body is known"
         )

@@ -69,7 +69,7 @@ def guard(entry: Callable[[], Any]) -> int:
         if of_configuration(error):  # some are OSErrors
             return report(configured(error))
         if isinstance(error, MemoryError) or NO_MEMORY.search(str(error)):
-            said = " ".join(str(error).split()) or "the system refused a request"
+            said = " ".join(str(error).split()) or "the system denied a request"
             return report(f"memory: expected a job that fits; received: {said}. Reduce its size")
         if in_library(error):
             said = " ".join(f"{type(error).__name__}: {error}".split())
@@ -95,7 +95,7 @@ def _end_quietly() -> None:
             sys.stderr.flush()
             os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
-    atexit.register(discard)  # before those of libraries, and so called after them
+    atexit.register(discard)  # registered before the handlers of libraries, and therefore called after them
 
 
 def leave(code: int) -> NoReturn:

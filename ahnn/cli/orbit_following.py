@@ -48,7 +48,7 @@ def read_following(arguments: list[str], usage: str) -> Stream:
         key, _, below = text.partition("=")[0].partition(".")
         if key not in (*own, "plugins"):
             hint = nearest(key, [*own, "plugins"])
-            message = f"{key}: expected a key that applies with orbit=; received another{hint}"
+            message = f"{key}: expected a key that applies with orbit=; received one that does not{hint}"
             raise UserError(message)
         chosen = filters if key == "plugins" else of_orbit if key == "orbit" and below else mine
         chosen.append(text.removeprefix("orbit.") if chosen is of_orbit else text)
@@ -88,7 +88,7 @@ def filter_of(overrides: list[str], gate: AskedGate) -> tuple[RecursiveEstimator
         noise = (0.0, 0.0)
     if not isinstance(noise, tuple | list):
         message = (
-            "process_noise: expected [POSITION,VELOCITY], km and km/s added per minute; received another"
+            "process_noise: expected [POSITION,VELOCITY], km and km/s added per minute; received {noise}"
         )
         raise UserError(message)
     return with_gate(filters[0].estimator, filters[0], gate), (noise[0], noise[1])

@@ -82,7 +82,8 @@ class Request(NamedTuple):
         folder = Path(f"runs/pretrained_{name}" if own.run is None else own.run)
         if name is not None and (folder / "config.yaml").exists():
             message = (
-                f"run {folder}: expected a folder for pretrained={name}; received another run. Name a new one"
+                f"run {folder}: expected a folder for pretrained={name}; received a different run. Name a "
+                "new folder"
             )
             raise UserError(message)
         overrides = [text for text in given if text not in mine]

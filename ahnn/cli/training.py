@@ -30,7 +30,7 @@ def train(cfg: DictConfig) -> float:
         require_new(Path(part.folder), part.ckpt)
     losses = [train_once(part) for part in parts]
     from ahnn.cli.parts import is_multirun
-    from ahnn.jobs.closing import require_converged  # imported late, like the trainings before it
+    from ahnn.jobs.closing import require_converged  # imported late, like the code of the training
 
     if not is_multirun():  # in a sweep each job has its scores, and a search uses the losses
         require_converged([Path(part.folder) for part in parts])
@@ -76,7 +76,7 @@ def train_once(cfg: DictConfig, source: Source | None = None, asked: Sequence[st
 
         prepared = prepare(cfg, source, asked)
     folder, trainer = prepared.folder, prepared.trainer
-    prepared.data.train_dataloader()  # last check: files are written from here on
+    prepared.data.train_dataloader()  # last check: files are written after this
 
     require_writable(folder)
     with claimed(folder) if trainer.is_global_zero else nullcontext():

@@ -99,13 +99,17 @@ def unread_of_training(cfg: DictConfig, prepared: Prepared, *, several: bool) ->
     derived = staged or cfg.loss.derivative > 0
     measured = "a loss on windows does not estimate noise; a recipe with loss.stages does"
     yield from unless(
-        ("weights", cfg.ckpt is None or cfg.weights is None, "ckpt resumes a training from its own weights"),
+        (
+            "weights",
+            cfg.ckpt is None or cfg.weights is None,
+            "ckpt resumes a run from its own weights",
+        ),
         ("seed", not several, "seeds= replaces it"),
         ("scheduler", automatic or not cfg.scheduler, "second-order steps have no learning rate"),
         ("data.bias_sd", staged or cfg.data.get("bias_sd") is None, measured),
         ("data.correlation", staged or cfg.data.get("correlation") is None, measured),
         ("data.noise", staged or cfg.data.get("noise") != "estimate", measured),
-        ("optimizer.tolerance", not staged, "steps on measurements use the whole batch"),
+        ("optimizer.tolerance", not staged, "steps on measurements use the entire batch"),
         ("loss.order", derived, "with loss.derivative=0 no derivatives are formed"),
         ("callbacks.rollout", not staged, "measurements have no true start to roll out from"),
         ("callbacks.rollout.every", rolled, "callbacks.rollout.count=0 disables rollouts"),

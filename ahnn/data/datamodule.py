@@ -199,7 +199,7 @@ class WindowDataModule(LightningDataModule):
         segments = self._cut[intervals]
         if intervals is not None and segments.intervals < intervals and intervals not in self._too_long:
             self._too_long.add(intervals)
-            what = "loss.stages: no trajectory has %d intervals; that stage fits whole trajectories (%d)"
+            what = "loss.stages: no trajectory has %d intervals; that stage fits full trajectories (%d)"
             log.info(what, intervals, segments.intervals)
         asked = self.stages.stretches(epoch, self.epochs) or self.batch_size
         return segments, asked if intervals is None else min(asked, segments.covering)

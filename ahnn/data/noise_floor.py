@@ -154,7 +154,7 @@ def remark_on(samples: Tensor, times: Tensor, names: Sequence[str], stated: Tens
         suspicious = (floor > SHARE * typical) & (typical > 0)
         advice = (
             "which this loss would learn. Declare it: sensor=... (sensor=recorded for files), or "
-            "data.noise=... with recipe=measurements (recipe=noisy_states for dense samples of whole states)"
+            "data.noise=... with recipe=measurements (recipe=noisy_states for dense samples of states)"
         )
     else:
         coloured = is_coloured(samples, times, floor)

@@ -38,9 +38,9 @@ class Segments:
         good = there & (ahead(there, FIRST) > DEGREE)
         if not bool(good.any()):
             message = (
-                f"data: expected trajectories with at least {DEGREE + 1} of {FIRST} measurements in a row, "
-                f"which determine an initial state; received none among {rows} of {samples} times. "
-                "Measure more often"
+                f"data: expected trajectories with at least {DEGREE + 1} of {FIRST} consecutive "
+                f"measurements, which determine an initial state; received none among {rows} of {samples} "
+                "times. Measure more often"
             )
             raise UserError(message)
         last = (times.isfinite() * torch.arange(samples)).amax(1, keepdim=True)

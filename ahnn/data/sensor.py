@@ -85,7 +85,7 @@ class Sensor:
         sizes = noise == "estimate"
         if sizes and self.draws:
             message = (
-                "data.noise: expected standard deviations of what is simulated; received estimate. That "
+                "data.noise: expected standard deviations of simulated noise; received estimate, which "
                 "requires recorded measurements: sensor=recorded"
             )
             raise UserError(message)

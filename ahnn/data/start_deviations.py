@@ -56,7 +56,7 @@ def deviations_of(path: Path, kind: Kind, times: Tensor, *, weighed: bool) -> Te
         return None
     lacking = [header.names[k] for k in wanted if k not in places.values()]
     if lacking:
-        sheet.place.refuse(f"{DEVIATIONS}{lacking[0]} beside the other standard deviations", "none")
+        sheet.place.refuse(f"{DEVIATIONS}{lacking[0]} with the other standard deviations", "none")
     for own, of in places.items():
         if header.units[own] not in (None, header.units[of]):
             at = sheet.place._replace(column=header.names[own])

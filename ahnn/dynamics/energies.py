@@ -127,7 +127,7 @@ class NetworkEnergy(nn.Module):
     def derivatives(self, q: Tensor) -> tuple[Tensor, Tensor]:
         """Return the gradient, shape (B, n), and the Hessian, shape (B, n, n), at q, shape (B, n)."""
         gradient, hessian = network_derivatives(self.network, self.inputs, q)
-        if self.falloff:  # of w N, w = (R / r)^k, from those of N
+        if self.falloff:  # derivatives of w N, w = (R / r)^k, from the derivatives of N
             value = self.network(self.inputs(q))
             weight, fall = self.envelope(q)  # w and f = grad log w = -k q / r^2
             square = q.square().sum(-1)[:, None, None]

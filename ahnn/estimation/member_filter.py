@@ -230,7 +230,7 @@ class MemberFilter(ABC, Generic[M]):
         state = cast(M, belief)
         check_state(state, self.carried)
         if start_time != 0.0:
-            message = f"start_time: expected none beside a state, which has its own; received {start_time}"
+            message = f"start_time: expected none with a state, which has its own time; received {start_time}"
             raise ValueError(message)
         return state
 

@@ -57,7 +57,7 @@ class Forecast(NamedTuple):
         """Return the finding as a note under the table."""
         text = (
             f"forecasts of the second half of {self.trajectories - self.lost} unseen trajectories from the "
-            f"first: bands of 1, 2 and 3 standard deviations, rms {self.width:.3g} times those of the noise, "
+            f"first: bands of 1, 2 and 3 standard deviations, rms {self.width:.3g} times the noise, "
             f"contain {percent(self.coverage)} % of the measured values"
         )
         if self.states is not None:

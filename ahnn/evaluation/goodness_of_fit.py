@@ -68,7 +68,7 @@ class Explained(NamedTuple):
         if self.halved_steps is not None and abs(self.halved_steps - self.chi_square) > (high - low) / 2:
             text += (
                 f"; with steps of half the length {self.halved_steps:#.4g} times: the integrator's error "
-                "is not negligible beside the noise; use one of higher order"
+                "is not negligible compared with the noise; use one of higher order"
             )
         return text + (
             f"; {self.lost} of {self.trajectories} trajectories not explained" if self.lost else ""

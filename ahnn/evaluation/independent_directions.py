@@ -56,7 +56,10 @@ class DirectionTest(NamedTuple):
         found = f"errors along {self.directions} independent directions are {self.scatter:.2f} deviations"
         if self.verdict.startswith("too few"):
             return f"{found}: {self.verdict}"
-        return f"{found}, with calibrated bands {low:.2f} to {high:.2f} in 19 of 20 trainings: {self.verdict}"
+        return (
+            f"{found}, with calibrated bands {low:.2f} to {high:.2f} in 19 of 20 training runs: "
+            f"{self.verdict}"
+        )
 
     def numbers(self) -> dict[str, object]:
         """Return plain values for metrics.json."""

@@ -139,7 +139,7 @@ def logarithmic(axes: Any, first: int, others: Iterable[Any] = ()) -> None:
     if not len(values):
         return
     low, high = float(values.min()) / 1.3, float(values.max()) * 1.3
-    axes.set_ylim(low, min(high, low * 1e18))  # so that a lost prediction does not flatten the others
+    axes.set_ylim(low, min(high, low * 1e18))  # so that a lost prediction does not flatten all other curves
     axes.set_yscale("log")
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 30 * low else (1.0,)))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -173,8 +173,8 @@ def fitted_count(wanted: float | None, held_out: float, count: int, *, whole: bo
     """
     if wanted is None and not (held_out or whole):
         message = (
-            "fitted: expected the number or fraction of measurements to fit before the others are "
-            "filtered; received none, and no orbit.held_out"
+            "fitted: expected the number or fraction of measurements to fit before the rest are filtered; "
+            "received none, and no orbit.held_out"
         )
         raise UserError(message)
     chosen = 1 - held_out * (not whole) if wanted is None else wanted
@@ -210,6 +210,7 @@ def no_carry(states: Tensor, times: Tensor, covariances: Tensor) -> Tensor:
     """Refuse the covariance of an earlier state."""
     del states, times, covariances
     message = (
-        "start: expected the covariance of its last state; received that of an earlier one. Add start_sd="
+        "start: expected the covariance of its last state; received the covariance of an earlier state. Add "
+        "start_sd="
     )
     raise UserError(message)

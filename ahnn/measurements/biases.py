@@ -45,7 +45,7 @@ class Biases(NamedTuple):
         names = measurement.names
         if deviations is None:
             if memory is not None:
-                message = f"{who}bias_memory: expected {who}bias_sd with it; received {memory} alone"
+                message = f"{who}bias_memory: expected {who}bias_sd with {memory}; received none"
                 raise UserError(message)
             return None
         sds = for_each_component(measurement, numbers_of(deviations))

@@ -106,7 +106,8 @@ class NoiseEstimate:
         if not coloured:
             return "no correlation of the noise in time was found"
         each = [
-            f"{100 * part:.3g} % of that of {name} over {memory:.3g}" for name, _, part, memory in coloured
+            f"{100 * part:.3g} % of the noise of {name} over {memory:.3g}"
+            for name, _, part, memory in coloured
         ]
         white, slow = (
             [sd * math.sqrt(part if coloured else max(1 - part, 1e-3)) for _, sd, part, _ in found]

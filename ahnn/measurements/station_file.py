@@ -114,7 +114,7 @@ class BiasedStation(Differing):
         kept = [k for k, name in enumerate(SEEN) if name in entry.noise]
         if not kept:
             message = (
-                f"{who}noise: expected standard deviations of {', '.join(SEEN)}, or of some; received none"
+                f"{who}noise: expected standard deviations of one or more of {', '.join(SEEN)}; received none"
             )
             raise UserError(message)
         place = entry.latitude, entry.longitude, entry.height / 1e3

@@ -176,10 +176,7 @@ def require_times(times: Tensor) -> None:
     """Raise UserError for times that are not (T,), finite and increasing."""
     if times.ndim != 1 or len(times) < 2 or not bool((times.diff() > 0).all() & times.isfinite().all()):
         received = times.tolist() if times.numel() < 7 else f"shape {tuple(times.shape)}"
-        message = (
-            "times: expected two or more that increase, beginning with that of the start; received "
-            f"{received}"
-        )
+        message = f"times: expected two or more increasing times, the first at the start; received {received}"
         raise UserError(message)
 
 

@@ -121,7 +121,7 @@ TASKS: dict[str, FieldTask] = {
         "pendulum from the first quarter swing of 400 runs, 0.1 apart",
         SOURCE,
         ERROR.format(10, 50),
-        f"{SAME}; the error is over one time for all runs instead of a period of each",
+        f"{SAME}; the error covers the same time in all runs, not one period of each",
         {},
         models(30, "integrator=dopri5", lnn=LNN, mechanical=MECHANICAL),
         partial(

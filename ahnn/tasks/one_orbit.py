@@ -84,7 +84,7 @@ TASK = FieldTask(
     "magnusross/hgp, MIT; Ross & Heinonen 2023, TMLR",
     f"root mean squared error on ({DURATION:g}, {2 * DURATION:g}] in standard deviations of the data, from "
     "the start that fits the noisy states best",
-    "the size of the noise is known here; the floor is that of the true equations from the start that fits",
+    "the noise level is known here; floor: true equations from the best-fitting start",
     {},
     {
         "network": ("model=hnn", *MEASURED),

@@ -167,7 +167,10 @@ def entries_of(setup: OrbitSetup, folder: Path, data: TrackingData) -> dict[str,
         known = {name: entry_of(value, f"stations.{name}") for name, value in (setup.stations or {}).items()}
         if unused := [name for name in known if name not in data.stations]:
             names = ", ".join(data.stations)
-            message = f"stations.{unused[0]}: expected one of {setup.measurements}: {names}; received another"
+            message = (
+                f"stations.{unused[0]}: expected a station of {setup.measurements}: {names}; received an "
+                "unknown one"
+            )
             raise UserError(message)
     for name in data.stations:
         if name not in known:
@@ -218,7 +221,7 @@ def noise_of(setup: OrbitSetup, data: TrackingData, entries: dict[str, StationEn
         if np.isfinite(data.values[own, k]).any():
             stated = data.deviations[own, k][np.isfinite(data.deviations[own, k])]
             if not len(stated):
-                who = f"noise.{KINDS[k]}: expected a standard deviation of what {data.stations[s]} measured"
+                who = f"noise.{KINDS[k]}: expected a standard deviation for {data.stations[s]}"
                 message = f"{who}; received none"
                 raise UserError(message)
             table[s, k] = np.median(stated)

@@ -116,7 +116,7 @@ class Sightings:
             if name in data.stations and station.event != data.event:
                 message = (
                     f"stations: {name}.event: expected {data.event}, as {file}; received {station.event}. "
-                    "Say it in the file of the stations, or in a sidecar of the measurements"
+                    "State it in the file of the stations, or in a sidecar of the measurements"
                 )
                 raise UserError(message)
             columns[name] = {k: first + c for c, k in enumerate(station.kept)}
@@ -134,7 +134,7 @@ class Sightings:
         if unused:
             log.warning("%s: not used, since its noise is not given: %s", file, ", ".join(sorted(unused)))
         if np.isfinite(data.deviations).any():
-            log.warning("%s: its standard deviations are not used; those of the stations are", file)
+            log.warning("%s: the standard deviations of the stations are used instead of its own", file)
         after = (data.epoch - epoch) / SECOND
         return Track(data.object, file, np.arange(1, len(times) + 1), times + after, values)
 

@@ -131,7 +131,9 @@ def undone(problem: OrbitProblem) -> Iterator[tuple[str, OrbitProblem]]:
     for s, name in enumerate(data.stations):
         used = problem.used & (data.station != s)
         if len({*data.station[used].tolist()}) == len(data.stations) - 1 > 0:
-            words = f"the others fit without {name}: it stands elsewhere, or measured another object"
+            words = (
+                f"the other stations fit without {name}: its position is wrong, or it measured another object"
+            )
             yield words, replace(problem, used=used)
 
 

@@ -66,7 +66,7 @@ def joined(one: TrackingData, other: TrackingData) -> tuple[TrackingData, NDArra
         UserError: their times tag different events.
     """
     if one.event != other.event:
-        message = f"measurements: expected times of {one.event}, as before; received those of {other.event}"
+        message = f"measurements: expected times of {one.event}, as before; received times of {other.event}"
         raise UserError(message)
     times = np.concatenate((one.times, other.times + (other.epoch - one.epoch) / epochs.SECOND))
     order = np.argsort(times, kind="stable")

@@ -59,8 +59,8 @@ class SegmentOptions:
             or not _covers([s[1] for s in self.stages])
         ):
             message = (
-                f"loss.stages: expected {STAGE}; fractions increase to 1, such as "
-                f"[[4, 0.6], [16, 0.8], [whole, 1.0, 40]]; received {self.stages}"
+                f"loss.stages: expected {STAGE}; fractions increase to 1, such as [[4, 0.6], [16, 0.8], "
+                f"[whole, 1.0, 40]]; received {self.stages}"
             )
             raise UserError(message)
 
@@ -162,8 +162,8 @@ def named(loss: Loss, window: int) -> Objective:
     name, options = loss.options.objective, loss.options.options
     if name not in OBJECTIVES:
         message = (
-            f"loss.objective: expected one of {', '.join(OBJECTIVES)}; received {name!r}. Others are "
-            f"those of installed packages that declare them in the entry-point group {OBJECTIVES.group}"
+            f"loss.objective: expected one of {', '.join(OBJECTIVES)}; received {name!r}. Installed "
+            f"packages add objectives in the entry-point group {OBJECTIVES.group}"
         )
         raise UserError(message)
     check_arguments("loss.options", OBJECTIVES[name], options, ("loss", "window"))

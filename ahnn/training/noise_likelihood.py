@@ -100,7 +100,7 @@ def most_likely(left: Residuals, *, sizes: bool, correlation: bool) -> FoundNois
     def searched(
         begin: list[float], limits: list[tuple[float, float]], coloured: bool
     ) -> tuple[float, Tensor]:
-        from scipy.optimize import minimize  # a fifth of a second, which other trainings do not need
+        from scipy.optimize import minimize  # a fifth of a second, saved in other training runs
 
         def value(found: np.ndarray) -> tuple[float, np.ndarray]:
             at = torch.tensor(found, requires_grad=True)

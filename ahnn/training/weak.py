@@ -60,7 +60,7 @@ class Weak:
 
     robust: RobustName = "none"
     relative: bool = False
-    intervals: ClassVar[None] = None  # whole trajectories
+    intervals: ClassVar[None] = None  # full trajectories
     bends: ClassVar[bool] = True  # its problems provide second derivatives of residuals
 
     def residuals(self, dynamics: Dynamics, batch: Segment) -> Tensor:

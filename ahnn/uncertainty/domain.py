@@ -104,7 +104,10 @@ def domain_of(about: dict[str, Any], size: int) -> Domain | None:
         return None
     known = read("domain", Known, about["domain"])
     if not known.states or {len(row) for row in known.states} != {size}:
-        message = f"domain: expected training states of {size} components with the weights; received others"
+        message = (
+            f"domain: expected training states of {size} components with the weights; received a different "
+            "number"
+        )
         raise UserError(message)
     return Domain(torch.tensor(known.states, dtype=torch.float64), known.unit)
 

@@ -114,7 +114,10 @@ def changed(place, value, of=TIMES):
         ({"states": STATES > 3}, "received Tensor of torch.bool"),
         ({"states": STATES[:0], "times": TIMES[:0]}, r"states: expected shape .* received \(0, 3, 4\)"),
         ({"states": STATES[:, :0], "times": TIMES[:, :0]}, r"received \(2, 0, 4\)"),
-        ({"times": TIMES[:, :2]}, r"expected shape \(2, 3\), or \(3,\) for all alike; received \(2, 2\)"),
+        (
+            {"times": TIMES[:, :2]},
+            r"expected shape \(2, 3\), or \(3,\) for all trajectories; received \(2, 2\)",
+        ),
         ({"times": TIMES[:1]}, r"received \(1, 3\)"),
         ({"times": TIMES[:, 0]}, r"received \(2,\)"),
         ({"states": changed((0, 0, 0), torch.inf, STATES)}, "expected a finite number"),
@@ -145,7 +148,7 @@ def test_what_does_not_fit_is_refused_with_what_came(change, message):
 def test_no_whole_sample_is_no_trajectory():
     states = STATES.clone()
     states[1, :, 2] = torch.nan
-    with pytest.raises(UserError, match="trajectory 1, row 1: expected a trajectory with a whole sample"):
+    with pytest.raises(UserError, match="trajectory 1, row 1: expected a trajectory with a complete sample"):
         Given(Trajectories(states, TIMES), SPACE)
 
 

@@ -48,10 +48,10 @@ def test_splits_follow_each_other():
 @pytest.mark.parametrize(
     ("now", "said"),
     [
-        (THEN, "the test split of the training's data"),
-        ([0.5, 0.3, 0.2], "a part of the test split of the training's data"),
-        ([0.7, 0.2, 0.1], "a part of the test split of the training's data"),
-        ([0.1, 0.8, 0.1], "a part of the test split of the training's data"),
+        (THEN, "the test split of the run's data"),
+        ([0.5, 0.3, 0.2], "a part of the test split of the run's data"),
+        ([0.7, 0.2, 0.1], "a part of the test split of the run's data"),
+        ([0.1, 0.8, 0.1], "a part of the test split of the run's data"),
     ],
 )
 def test_a_later_beginning_of_the_test_split_is_no_leak(now, said):
@@ -66,9 +66,9 @@ def test_an_earlier_beginning_of_the_test_split_is_refused(now, seen, of):
 
 def test_other_data_are_other_trajectories_unless_they_are_the_same_files():
     assert SplitData(Twenty(), THEN).beside(None) == "unknown training data"
-    others = "trajectories other than those of the training"
+    others = "trajectories other than the training data"
     assert SplitData(Twenty(seed=1), THEN).beside(known()) == others
-    changed = "files that differ from those of the training"
+    changed = "files other than the training data"
     assert SplitData(Twenty(files="a"), THEN).beside(known(files="b")) == changed
     assert SplitData(Twenty(files="a"), THEN).beside(known()) == others
     with pytest.raises(UserError, match="expected the training's files with its settings"):
@@ -103,7 +103,7 @@ def test_changed_data_of_which_nothing_was_seen_are_reported_with_that():
     seen = SplitData(Walks(files="a"), THEN).seen()
     assert len(seen) == 16
     other = Walks([*range(16), 19, 18, 17, 16])
-    said = "files that differ from those of the training, with test trajectories it never saw"
+    said = "files other than the training data, with test trajectories not used in training"
     assert SplitData(other, THEN).beside(known(files="a"), seen) == said
     other.states[16:] = 0.0  # a state of rest, which the training does not know
     assert SplitData(other, THEN).beside(known(files="a"), seen) == said

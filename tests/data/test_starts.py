@@ -129,7 +129,7 @@ def test_an_epoch_of_a_file_comes_before_that_of_a_model():
         ("[1, 2]\n", "received no keys"),
         (
             "mean: [1, 2, 3, 4]\ncovariance: [[1, 2], [3, 4]]\n",
-            "covariance of 4 x 4 numbers; received another",
+            "covariance of 4 x 4 numbers; received a different shape",
         ),
         ("mean: [1, 2, 3, 4]\nepoch: noon\n", "received epoch noon"),
         ("mean: [1, 2, 3, .inf]\n", "finite"),

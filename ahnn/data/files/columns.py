@@ -115,7 +115,7 @@ def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
         if rates and i not in rates:
             known = ", ".join(names[k] for k in rates.values())
             remedy = f"If it is something else: {SIDECAR[0].lower()}{SIDECAR[1:]}"
-            place._replace(column=names[i]).refuse(f"its {kinds[0]} beside {known}", "none", remedy)
+            place._replace(column=names[i]).refuse(f"its {kinds[0]}, as there is {known}", "none", remedy)
     ordered = tuple(rates[i] for i in positions) if rates else ()
     kind = kinds[0] if kinds else "velocities"
     return Roles(time[0], ids[0] if ids else None, positions, ordered, kind, tuple(controls))

@@ -193,7 +193,7 @@ def useable(block: MessageBlock, moments: list[int], note: Note, *, utc: bool) -
             if count == len(moments):
                 block.place.refuse(f"a state from {span}", "none")
             chosen = inside
-            note(Remark(block.place, f"{count} of {len(moments)} states left out, outside {span}"))
+            note(Remark(block.place, f"{count} of {len(moments)} states not used, outside {span}"))
     return chosen
 
 

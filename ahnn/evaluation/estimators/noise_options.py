@@ -123,8 +123,8 @@ def online_parameters(
     dynamics, known = uncertainty.before or (cast(Dynamics, flow), uncertainty)
     if known.directions is None:
         message = (
-            "process_noise: expected a training that stored its least observable parameters; received "
-            "one of an earlier version, or without measurements. Train again, or use plugins=ukf"
+            "process_noise: expected a run that stored its least observable parameters; received one of an "
+            "earlier version, or without measurements. Train again, or use plugins=ukf"
         )
         raise UserError(message)
     return parameters_as_states(dynamics, Chosen(known.directions, 0.0), growth)
@@ -164,8 +164,8 @@ def with_process_noise(
     """
     if isinstance(option, ParameterOptions) and case.uncertainty is None:
         log.warning(
-            "process_noise: parameter_error needs a covariance of the parameters, which a training "
-            "stores if it explains its measurements; there is none, so force_error is used"
+            "process_noise: parameter_error needs a covariance of the parameters, stored by training that "
+            "explains its measurements; there is none, so force_error is used"
         )
         option = ForceOptions()
     if isinstance(option, ParameterOptions):
@@ -202,7 +202,10 @@ def grown(
     if rate is None:
         return None
     if novelty is None:
-        message = "novelty: expected weights that describe their training data; received others"
+        message = (
+            "novelty: expected weights that describe their training data; received weights without a "
+            "description"
+        )
         raise UserError(message)
     return lambda x: growth(novelty(x), rate)
 
@@ -212,7 +215,7 @@ def require_truth(option: NoiseOption, truth: System | None) -> None:
     if truth is None:
         received = {"ForceOptions": "force_error", "ParameterOptions": "no covariance of the parameters"}
         message = (
-            "process_noise: expected parameter_error, after a training on measurements, or standard "
+            "process_noise: expected parameter_error, after training on measurements, or standard "
             "deviations, for data without known true states; received "
             f"{received.get(type(option).__name__, option)}. Use plugins=ukf_parameter_error or "
             "plugins.ukf.process_noise=[POSITION,VELOCITY]"

@@ -144,7 +144,7 @@ def assembled(
 
 def require_body(mu: float, radius: float, head: Mapping[str, CoefficientLine]) -> None:
     """Raise UserError for an impossible mass and radius, for example with numbers in km."""
-    with np.errstate(over="ignore"):  # not those of any body
+    with np.errstate(over="ignore"):  # values of no real body
         density = np.float64(mu) / (4 / 3 * pi * NEWTON * np.float64(radius) ** 3)
     low, high = DENSITIES
     if not low <= density <= (STONES if radius < SMALL else high):
@@ -161,7 +161,7 @@ def require_centred(cosines: Coefficients, sines: Coefficients, file: Coefficien
     """Raise UserError for coefficients that do not refer to the body's centre of mass."""
     if abs(cosines[0, 0] - 1) > MASS:
         file.refuse(
-            "C of n, m = (0, 0) = 1, since the constant GM is that of the whole mass", f"{cosines[0, 0]:g}"
+            "C of n, m = (0, 0) = 1, since GM is the constant of the entire mass", f"{cosines[0, 0]:g}"
         )
     first = max(abs(cosines[1, :2]).max(), abs(sines[1, 1]))
     if first > OFFSET:

@@ -32,7 +32,12 @@ STATION = re.compile(r"\s*(.*?)\s*(\d{4,5})\s+(\d+)\s+(\d+)\s+(\d+)(\s+\S+)?\s*"
 TARGET = re.compile(r"\s*(.+?)\s+(\d+)\s+(-?\d+|na)\s+(-?\d+|na)\s+([012])\s+(\d)(\s+\S+)?\s*", re.IGNORECASE)
 TYPES = {"0": "full-rate data", "2": "sampled engineering data"}
 FLAGS = (
-    (14, "0", "refraction not yet corrected", "Ask for normal points, whose standard leaves it to the user"),
+    (
+        14,
+        "0",
+        "refraction not yet corrected",
+        "Ask for normal points without this correction",
+    ),
     (15, "0", "ranges to the reflectors, not to the centre of mass", ""),
     (17, "1", "the station's delay corrected", ""),
     (19, "2", "two-way ranges (range type 2)", ""),

@@ -126,7 +126,7 @@ def _of_integration(readings: list[TrackingReading], interval: float) -> str:
         return what
     slopes = np.diff([value for _, value in ranked]) / np.diff(times)
     bends = 2 * np.diff(slopes) / (times[2:] - times[:-2])
-    return f"{what}, off by up to about {1e6 * interval**2 / 24 * np.abs(bends).max():.2g} mm/s"
+    return f"{what}, with an error of up to about {1e6 * interval**2 / 24 * np.abs(bends).max():.2g} mm/s"
 
 
 def _add_weather(segment: TdmSegment, weather: WeatherSeries, note: Note) -> None:

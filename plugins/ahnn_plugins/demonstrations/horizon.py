@@ -76,7 +76,7 @@ class Horizon:
         self.period, self.unit = period, unit
         found = mu if mu is not None or beside is None else beside.mu
         if found is None:
-            message = "mu: expected that of two-body motion, or a planet beside; received neither"
+            message = "mu: expected mu of two-body motion, or a planet in `beside`; received neither"
             raise UserError(message)
         self.mu = torch.tensor(found if isinstance(found, list) else [found], dtype=torch.float64)
 
@@ -88,7 +88,7 @@ class Horizon:
             message = f"beside: expected data in {expected}; received {space.dof} in {space.units}"
             raise UserError(message)
         if not 6 <= self.arc <= steps:
-            message = f"arc: expected from 6 to {steps} samples, those of a trajectory; received {self.arc}"
+            message = f"arc: expected 6 to {steps} samples, the length of a trajectory; received {self.arc}"
             raise UserError(message)
 
     def flows(self, case: Case) -> dict[str, Flow]:
@@ -152,8 +152,8 @@ class Horizon:
             style.logarithmic(axes, 24)
             axes.set_ylabel(f"position error [{case.space.units.position}]")
         panels[0].axvspan(0, float(time[self.arc - 1]), color=style.SKY, alpha=0.2, label="fitted to")
-        head = f"{case.space.name}: rms over unseen stretches"
-        panels[0].set_title(f"{head}\nfrom the start that fits the first positions best")
+        head = f"{case.space.name}: rms over unseen segments"
+        panels[0].set_title(f"{head}\nfrom the best-fitting start")
         panels[1].set_title("from the first state of each")
         style.label_time(panels[1], style.Axis(time, self.unit))
         style.legend_below(figure, *panels)

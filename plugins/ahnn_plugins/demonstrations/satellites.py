@@ -58,7 +58,7 @@ class Satellites:
         wrong = [number for number in satellites if number not in known]
         if wrong or not satellites:
             names = ", ".join(map(str, known))
-            message = f"satellites: expected some of {names}; received {wrong or 'none'}"
+            message = f"satellites: expected one or more of {names}; received {wrong or 'none'}"
             raise UserError(message)
         self._sets = [known[number] for number in satellites]
 

@@ -47,7 +47,7 @@ class Localisation:
         if size % self.coordinates:
             message = (
                 f"localisation: expected states of a multiple of {self.coordinates} components, the "
-                f"coordinates of the chain; received {size}, of which some have no place on it"
+                f"coordinates of the chain; received {size}, some of them not on the chain"
             )
             raise UserError(message)
         place = torch.arange(size) % self.coordinates

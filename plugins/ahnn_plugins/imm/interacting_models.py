@@ -60,9 +60,7 @@ class InteractingModels(MemberFilter[MixtureState]):
         """Check that values are within their limits."""
         super().__post_init__()
         if not isinstance(self.filter, GaussianFilter):
-            message = (
-                f"filter: expected a Gaussian filter, such as that of ukf or ekf; received {self.filter!r}"
-            )
+            message = f"filter: expected a Gaussian filter, such as ukf or ekf; received {self.filter!r}"
             raise UserError(message)
         if len(self.modes) < 2:
             message = f"modes: expected at least two; received {len(self.modes)}"

@@ -58,7 +58,7 @@ class MotionMode:
             raise UserError(message)
         if self.beside is not None and (own := 2 * self.beside.dof) != size:
             message = (
-                f"{who}.beside: expected a system of {size} components, as many as are estimated; "
+                f"{who}.beside: expected a system of {size} components, the number estimated; "
                 f"{self.beside.name} has {own}. It has no force error, parameters or biases"
             )
             raise UserError(message)

@@ -55,7 +55,7 @@ def claims_table(system: str, found: list[Verdict], confidence: float) -> Grid:
     return Grid(
         f"claims_{system}",
         f"{system}: claims of the paper.",
-        f"The first ratio that a claim demands, ours with its {confidence:.0%} interval, and the paper's.",
+        f"The first ratio of each claim: ours, with its {confidence:.0%} interval, and the paper's.",
         ((Head("Claim"), Head("Verdict"), Head("Ours"), Head("Paper")),),
         tuple(lines),
     )

@@ -64,10 +64,9 @@ def rmse_table(board: Board) -> Grid:
         (Head(""), *(SUB * len(columns))),
     )
     caption = (
-        "Mean over trajectories of the rms vector norm; ours: mean ± standard deviation over "
-        "seeds, the lowest "
-        "mean of each part bold; paper: as printed, suspicious cells marked; floor: what perfect knowledge "
-        "scores there."
+        "Mean over trajectories of the rms vector norm; ours: mean ± standard deviation over seeds, the "
+        "lowest mean of each part bold; paper: as printed, suspicious cells marked; floor: score of the "
+        "exact equations."
     )
     title = f"Table {layout.number} of the paper. {layout.title}."
     return Grid(f"table{layout.number}_{board.system}", title, caption, heads, tuple(lines), tuple(doubts))

@@ -148,8 +148,8 @@ def _begin(chosen: Filter, options: Tuning) -> dict[str, float]:
     for name, (low, high) in options.ranges.items():
         if not low <= own[name] <= high:
             message = (
-                f"tuning.ranges.{name}: expected a range with the untuned {own[name]:g} in it, "
-                f"where the search begins; received {[low, high]}"
+                f"tuning.ranges.{name}: expected a range that contains the untuned {own[name]:g}, at which "
+                f"the search starts; received {[low, high]}"
             )
             raise UserError(message)
     return {name: own[name] for name in options.ranges}

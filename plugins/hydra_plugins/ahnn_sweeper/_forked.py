@@ -70,7 +70,7 @@ def _run(program: str, arguments: list[str], log: str) -> None:
             runpy.run_path(program, run_name="__main__")
         else:
             runpy.run_module(program, run_name="__main__", alter_sys=True)
-    except Exception as error:  # printed as by Python; `multiprocessing` would name its own process
+    except Exception as error:  # printed as Python prints it; `multiprocessing` would name its own process
         sys.stdout.flush()
         sys.excepthook(type(error), error, error.__traceback__)
         sys.exit(1)

@@ -24,7 +24,7 @@ BESIDE = 0.17
 """Horizontal offsets of a model without and with filter."""
 SIDES = "Left: without measurements; right: with the filter. "
 SPREAD = "Dots: means over seeds; lines: ± standard deviation, as in the tables."
-MEANING = "RMSE: mean over test trajectories of the rms vector norm; floor: what perfect knowledge scores."
+MEANING = "RMSE: mean over test trajectories of the rms vector norm; floor: score of the exact equations."
 
 
 class Dot(NamedTuple):
@@ -157,7 +157,7 @@ def _ablation(system: str, entries: Sequence[Entry], slots: dict[str, int]) -> D
         series = _merged([each for found in several for each in found])
         label = f"{quantity} [{_unit(rows[0][0], quantity)}], {start}"
         panels += [Panel(series, "", label, log=True, ticks=ticks)] if _has_model(series) else []
-    caption = f"Models that assume the same, {assumes}. {SIDES}{MEANING}"
+    caption = f"Models with the same assumptions, {assumes}. {SIDES}{MEANING}"
     title = f"{system}: RMSE over the window W of the loss"
     return Drawing(f"{file_name(system)}_windows", title, caption, tuple(panels), "bars", _spread(panels))
 
