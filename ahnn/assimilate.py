@@ -27,8 +27,8 @@ lag=SECONDS         each line also has the estimate this long before, smoothed w
 measurement=NAME    measurement model; for several sensors +measurement@sensors.NAME=OPTION for each
 measurement.bias_sd=NUMBER      estimate the bias of the sensor; bias_memory=TIME lets it drift
 plugins=NAME        the filter; plugins.ukf.process_noise is Q
-gate=0.999999       probability beyond which a measurement is rejected; the gate reopens after five rejections
-                    in a row (plugins.ukf.patience=5); gate=none accepts all
+gate=0.999999       probability beyond which a measurement is rejected; the gate reopens after five
+                    consecutive rejections (plugins.ukf.patience=5); gate=none accepts all
 watch=true          a live view of state, 3 sigma, innovations and NIS on standard error; or --watch
 figures=FOLDER      innovations, consistency and deviations at the end
 oem=FILE            .oem or .xml: an ephemeris message at the end, of object=NAME
@@ -51,7 +51,7 @@ USAGE = (
 
 
 def assimilate(arguments: list[str]) -> None:
-    """Assimilate the stream named on the command line; raises as `cli.stream` and `jobs.assimilating`."""
+    """Assimilate the stream of a command line; raises errors of `cli.stream` and `jobs.assimilating`."""
     with importing():
         from ahnn.cli.stream import read_stream
         from ahnn.jobs import assimilating

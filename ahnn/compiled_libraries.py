@@ -53,8 +53,8 @@ def compiled_library(
 ) -> ctypes.CDLL | None:
     """Return the library of a source, or None where there is no C compiler.
 
-    The compiler is `$CC`, or else `cc`. The library is kept in the user's cache, in a folder writable by its
-    owner alone, and verified bit for bit. A compiler that fails or hangs causes one warning.
+    The compiler is `$CC`, or else `cc`. The library is kept in the user's cache, in a folder writable only by
+    its owner, and every bit is verified. A compiler that fails or hangs causes one warning.
 
     Args:
         source: path of the C file.

@@ -20,7 +20,7 @@ class ControlTable(NamedTuple):
 
     Attributes:
         times: (T,) increasing.
-        values: (T, m), valid from each time on; (B, T, m) for B members.
+        values: (T, m), each valid from its time; (B, T, m) for B members.
         linear: whether values are interpolated linearly instead of held.
     """
 
@@ -42,7 +42,7 @@ class ControlTable(NamedTuple):
         return cls(moments, given, linear)
 
     def begun(self, times: Tensor, near: float = 0.0) -> tuple[Tensor, Tensor]:
-        """Return values and rates (..., K, m) valid from each of K times on.
+        """Return values and rates (..., K, m) valid from each of K times.
 
         Outside the table the first or last controls apply.
 

@@ -95,7 +95,7 @@ def _unfinished(path: Path, mark: str) -> tuple[Path, BinaryIO]:
 
 
 def _remove_unfinished(folder: Path, known: dict[str, set[str]] | None) -> None:
-    """Remove temporary files of terminated writers; in a results folder only those in the manifest."""
+    """Remove temporary files of terminated writers; in a results folder only files in the manifest."""
     for path in folder.glob(".*.tmp"):
         found = UNFINISHED.fullmatch(path.name)
         if not found or path.is_symlink() or not path.is_file():

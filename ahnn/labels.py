@@ -6,7 +6,7 @@ from ahnn.errors import UserError
 from ahnn.types import Space
 
 KILOGRAMS = {"m": "kg m/s", "rad": "kg m²/s"}
-"""Unit of a momentum by that of its position, with energies in J and times in s."""
+"""Unit of a momentum by the unit of its position, with energies in J and times in s."""
 
 
 def quantity(space: Space, name: str) -> tuple[str, str]:

@@ -1,6 +1,6 @@
 """Papers for the methods that a run used: `ahnn.citations`.
 
-`papers.bib` has the entries; the table here says which belong to which method.
+`papers.bib` contains the entries; the table here assigns them to methods.
 """
 
 from __future__ import annotations

@@ -35,8 +35,8 @@ def rollout(
         flow: map of a state over one step.
         start: (B, D) initial states.
         dt: time step, or (B, samples - 1) step lengths.
-        samples: number of samples of the result, start included.
-        description: text of the progress bar, or None for no bar.
+        samples: number of samples of the result, including the start.
+        description: text of the progress bar; None: no bar.
         longest: maximum step of the flow; longer steps are divided into equal parts.
         gradients: whether to keep gradients through the result, at a cost in time and memory.
         clock: time and controls of the samples, (B, samples, k) or (samples, k), for a flow that depends on

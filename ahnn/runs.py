@@ -152,7 +152,7 @@ class Run:
         return rollout(self.dynamics, x, lengths, steps + 1, gradients=gradients, clock=clock)
 
     def band(self, start: Numbers, steps: int, dt: Numbers | None = None) -> Tensor:
-        """Return standard deviations of `rollout` from parameters alone, shape (B, steps + 1, 2n).
+        """Return standard deviations of `rollout` from parameters only, shape (B, steps + 1, 2n).
 
         Args:
             start: (B, 2n) or (2n,) states, in the units of the space.
@@ -206,7 +206,7 @@ class Run:
         Args:
             start: (B, 2n) or (2n,) states at the first of the times, in the units of the space.
             times: (T,) increasing, in its unit of time; internal steps are at most the training step.
-            description: text of the progress bar, or None for no bar.
+            description: text of the progress bar; None: no bar.
             start_sd: standard deviations of the starts, 2n, or one for positions and one for velocities where
                 n > 1; by default starts are exact.
             start_covariance: alternative to `start_sd`, (2n, 2n) or (B, 2n, 2n).
@@ -240,7 +240,7 @@ class Run:
             options: further arguments of `predict`.
 
         Raises:
-            UserError: as for `predict`, several starts, or no start where training states are unknown.
+            UserError: the errors of `predict`, several starts, or no start where training states are unknown.
         """
         from ahnn.prediction.figure import PLOTTED, prediction_figure
 
@@ -257,7 +257,7 @@ class Run:
         """Return the uncertainty of the parameters, and of starts with a covariance (2n, 2n) or (B, 2n, 2n).
 
         Raises:
-            UserError: an invalid covariance, or a damaged file of that of the parameters.
+            UserError: an invalid covariance, or a damaged file of the parameters' covariance.
         """
         known = Knowledge(self.uncertainty and self.uncertainty.spread, self.domain)
         if start_covariance is None:

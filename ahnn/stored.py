@@ -96,7 +96,8 @@ def read_about(who: str, content: Any) -> tuple[About, Space]:
     """Read the metadata of weights and the description of their state space.
 
     Raises:
-        UserError: a field is missing, of the wrong type, outside its limits, or inconsistent with the others.
+        UserError: a field is missing, of the wrong type, outside its limits, or inconsistent with another
+            field.
     """
     about = read(who, About, content)
     made = read(f"{who}.dynamics", Made, {"dof": 1, **about.dynamics})

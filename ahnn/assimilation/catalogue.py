@@ -29,8 +29,9 @@ class Catalogue:
     """Filters of many objects, each equivalent to an `Assimilation`.
 
     Readings arrive in tables. The k-th readings of all objects in a table form one batch step in which each
-    object has its own time: estimates equal those of individual filters, to rounding. An object whose filter
-    fails is lost: its last valid belief is kept, its later readings are ignored, and other objects continue.
+    object has its own time: estimates equal the results of individual filters, to rounding. An object whose
+    filter fails is lost: its last valid belief is kept, its later readings are ignored, and other objects
+    continue.
 
     Args:
         process: a Gaussian filter and its process model, without controls.
@@ -117,7 +118,7 @@ class Catalogue:
             times: (K,) times.
             values: (K, M) measured values, NaN where missing.
             sensor: name of the sensor; None if there is only one.
-            deviations: (K, M) standard deviations, NaN for those of the sensor.
+            deviations: (K, M) standard deviations, NaN for the sensor's own.
 
         Raises:
             UserError: an unknown sensor, or values of a wrong shape.

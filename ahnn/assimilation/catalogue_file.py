@@ -1,4 +1,4 @@
-"""Saving of a catalogue's beliefs and reading windows: restored bit for bit, without unpickling."""
+"""Saving of a catalogue's beliefs and reading windows: restored bit-identically, without unpickling."""
 
 from __future__ import annotations
 

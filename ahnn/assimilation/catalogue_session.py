@@ -25,7 +25,7 @@ from ahnn.errors import UserError
 log = logging.getLogger("ahnn")
 
 SAID = 5
-"""Number of lines per table reported individually for each outcome; the others are only counted."""
+"""Number of lines per table reported individually for each outcome; more are only counted."""
 NAMED = 1000
 """Number of unknown object names remembered, so that each is reported once."""
 

@@ -41,7 +41,7 @@ class ObjectShard(NamedTuple):
         return cls(number, workers)
 
     def holds(self, names: Iterable[str]) -> Mask:
-        """Return which objects are those of this worker, on any machine, (K,) bool."""
+        """Return whether each object belongs to this worker, on any machine, (K,) bool."""
         return np.array([_hash(name) % self.workers == self.number - 1 for name in names], dtype=bool)
 
     def starts(self, names: Sequence[str], belief: Belief, times: Tensor) -> tuple[list[str], Belief, Tensor]:

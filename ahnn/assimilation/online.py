@@ -35,7 +35,7 @@ class Estimate(NamedTuple):
 
     Attributes:
         outcome: of the reading.
-        time: time of the estimate, that of the newest reading.
+        time: time of the estimate and of the newest reading.
         mean: (D,).
         covariance: (D, D).
         innovation: innovation of the reading; None if the estimate did not change.
@@ -69,8 +69,8 @@ class Assimilation:
         window: readings late by up to this are inserted at their time, and later ones are replayed.
         lines: most readings that are kept for that.
         gap: a reading further ahead is ignored; None is 10,000 steps of the flow.
-        controls: of a process model that has some, known ahead; None where readings bring them.
-        lag: estimates are also smoothed that much later, with the readings since; None smooths none.
+        controls: controls of the process model, known in advance; None: the readings contain them.
+        lag: delay of additional estimates, smoothed with all later readings; None: no smoothing.
 
     Raises:
         UserError: a value beyond its limits, a start of several members, controls of another model, or a lag

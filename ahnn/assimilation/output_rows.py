@@ -34,11 +34,11 @@ class Rows:
     """Formatter of estimates as rows.
 
     Args:
-        components: names of those of the state.
+        components: names of the components of the state.
         sensors: by name.
         kind: csv or json, or of many objects parquet.
-        said: units and frame, written to a sidecar; None writes none.
-        scales: (D,) divisors of the written components; None for no division.
+        said: units and frame, written to a sidecar; None: no sidecar.
+        scales: (D,) divisors of the written components; None: no division.
         modes: of interacting models, whose probabilities are columns.
         lag: whether to write columns of smoothed estimates.
         clock: interpretation of times; with an epoch of time zero there is a column of epochs.
@@ -110,7 +110,7 @@ class Rows:
         Args:
             text: text of an output.
             line: line number.
-            begin: whether the text is the whole output.
+            begin: whether the text is the entire output.
         """
         if begin and (head := self.header()):
             if len(text) < len(head):

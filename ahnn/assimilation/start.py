@@ -42,7 +42,7 @@ class Begin(NamedTuple):
 def belief_of(
     found: Starts, deviations: list[float] | None, space: Space, carry: Carry, *, many: bool = False
 ) -> Belief:
-    """Return the belief of a single start, or those of many objects.
+    """Return the belief of a single start, or the beliefs of many objects.
 
     Args:
         found: starts found in the input.

@@ -76,7 +76,7 @@ class StreamControls(NamedTuple):
             raise UserError(message)
 
     def after(self, held: Held, reading: Reading) -> Held:
-        """Return the controls valid from a reading on, given those before it."""
+        """Return the controls valid after a reading, given the controls before it."""
         if not reading.controls:
             return held
         return tuple(u if new is None else new for u, new in zip(held, reading.controls, strict=True))

@@ -34,7 +34,7 @@ FEW = 30
 LEAST = 10
 """Number of lines below which the fraction of accepted ones is not judged."""
 MANY = 0.05
-"""Fraction of refused measurements that outliers alone seldom are."""
+"""Fraction of rejected measurements that outliers rarely reach."""
 REMEDIES = {
     "none": "Add lines",
     "bad": "The lines above state the faults",
@@ -107,7 +107,7 @@ class StreamSession:
         lines: lines of the stream.
         rows: formatter of estimates.
         output: path of the output file, `-` for standard output.
-        state: path of the state; None for no saving.
+        state: path of the state; None: not saved.
         every: number of lines between saved states.
         clock: interpretation of times; None for plain numbers.
         controls: names of the controls of the model.

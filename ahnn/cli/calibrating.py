@@ -1,4 +1,4 @@
-"""From a command line to trainings on draws of truth, noise and weights, and the test of their bands."""
+"""From a command line to training runs on draws of truth, noise and weights, and the test of their bands."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ OWN = ("plugins=none", "evaluation=scores", "logger=none")
 
 @dataclass(frozen=True)
 class CalibrationRequest:
-    """Options of the command other than those of the training."""
+    """Options of the command, without options of the training."""
 
     draws: Count = 20
     spread: Annotated[float, Within(0, 1)] = 0.1
@@ -48,8 +48,8 @@ def calibrate(arguments: list[str]) -> None:
     """Train the unfinished draws, and show and plot the test of all draws.
 
     Raises:
-        UserError: a training that does not compose, or not one on measurements of a system.
-        TrainingError: some trainings failed; the others are in the table.
+        UserError: options that do not compose, or no training on measurements of a system.
+        TrainingError: some training runs failed; all other runs are in the table.
     """
     keys = {field.name for field in fields(CalibrationRequest)}
     own = [text for text in arguments if text.partition("=")[0] in keys]
@@ -80,7 +80,7 @@ def calibrate(arguments: list[str]) -> None:
 
 
 def constants_of(overrides: list[str], spread: float, number: int) -> list[str]:
-    """Return the constants of the system in a draw, as overrides; raises UserError as `calibrate`."""
+    """Return the constants of the system in a draw, as overrides; raises the UserErrors of `calibrate`."""
     from ahnn.cli.compose import compose_job
     from ahnn.cli.parts import build_sensor, build_source
 

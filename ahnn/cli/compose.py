@@ -1,4 +1,4 @@
-"""Composition of jobs without a command line: any configuration, a training, or a sweep."""
+"""Composition of jobs without a command line: any configuration, a training run, or a sweep."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def composed(name: str, overrides: Sequence[str], *, partly: bool = False) -> Di
 
 
 def compose_job(overrides: Sequence[str], folder: Path) -> DictConfig:
-    """Compose a training in a folder, without plugins unless requested; raises as `composed`."""
+    """Compose a training run in a folder, by default without plugins; raises the errors of `composed`."""
     defaults = [] if any(text.startswith("plugins=") for text in overrides) else ["plugins=none"]
     cfg = composed("train", [*defaults, *overrides])
     cfg.folder = cfg.run = str(folder).replace("${", r"\${")  # prevents interpolation of the folder name
@@ -49,7 +49,7 @@ def compose_job(overrides: Sequence[str], folder: Path) -> DictConfig:
 
 
 def compose_sweep(overrides: Sequence[str]) -> list[DictConfig]:
-    """Compose the trainings of Hydra's basic sweeper for overrides, in order; raises as `composed`."""
+    """Compose the jobs of Hydra's basic sweeper for overrides, in order; raises the errors of `composed`."""
     loader = config_loader()
     single = [text for text in overrides if not parse(text).is_sweep_override()]
     for text in overrides:

@@ -100,7 +100,7 @@ def named_folder(overrides: Sequence[str]) -> Path | None:
 
 
 def forget(folder: Path) -> None:
-    """Remove the empty folder of a run that never began, including those of its seeds."""
+    """Remove the empty folder of a run that never began, including the folders of its seeds."""
     if not any((f / "config.yaml").exists() for f in (folder, *folder.glob("seed_*"))):
         shutil.rmtree(folder / ".hydra", ignore_errors=True)
         with contextlib.suppress(OSError):

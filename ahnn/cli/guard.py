@@ -1,7 +1,8 @@
 """Conversion of errors to one message and an exit code.
 
 Exit codes: 0 done, 2 user error, 3 training failed, 128 + n stopped by signal n: 130 for Ctrl-C, 143 for
-SIGTERM and 129 for SIGHUP. A closed pipe, as with `| head`, gives that of SIGPIPE, 141, without a message.
+SIGTERM and 129 for SIGHUP. A closed pipe, as with `| head`, gives the code of SIGPIPE, 141, without a
+message.
 """
 
 from __future__ import annotations
@@ -85,7 +86,7 @@ def guard(entry: Callable[[], Any]) -> int:
 
 @functools.cache
 def _end_quietly() -> None:
-    """Discard what libraries print after the exit handlers, if Triton is imported.
+    """Discard output of libraries after the exit handlers, if Triton is imported.
 
     Lightning imports it; Triton 3.9 then reports thirty lines of leaks at each end of a process.
     """

@@ -87,7 +87,7 @@ def group_lines(loader: ConfigLoaderImpl) -> Iterator[str]:
 
 
 def option_text(loader: ConfigLoaderImpl, group: str, option: str) -> Iterator[str]:
-    """Yield the YAML of an option, preceded by that of its base options.
+    """Yield the YAML of an option, preceded by the YAML of its base options.
 
     Raises:
         UserError: unknown option.

@@ -17,9 +17,9 @@ from ahnn.files import claimed, whole_folder
 
 log = logging.getLogger("ahnn")
 SIGNALLED = 128
-"""Exit codes from here on are those of signals."""
+"""Exit codes above this belong to signals."""
 SCORE = "score.json"
-"""Of a draw, in its folder beside the run."""
+"""Name of the file of a score, next to the run in the folder of a draw."""
 
 
 class NumberedDraw(Protocol):
@@ -49,7 +49,7 @@ def run_missing(plan: Sequence[D], words: Callable[[D], list[str]], jobs: int) -
 
     Args:
         plan: all draws.
-        words: what follows `python -m` for one of them.
+        words: returns the arguments of `python -m` for a draw.
         jobs: processes at a time.
     """
     left = [draw for draw in plan if not finished(draw)]

@@ -35,7 +35,7 @@ DEFAULT = "plugins=ukf"
 
 
 def read_following(arguments: list[str], usage: str) -> Stream:
-    """Return the stream that a command line asks for.
+    """Return the stream requested by a command line.
 
     Raises:
         UserError: no such file, an unknown key, or options that do not go together.

@@ -105,7 +105,7 @@ def build_recorded(options: dict[str, Any], source: Recordings | Observed) -> Re
 
 
 def build_sighted(options: dict[str, Any], source: Observed) -> Recorded:
-    """Build the sensor of what stations measured, with the noise and the biases of their file unless given.
+    """Build the sensor of station measurements, with the noise and the biases of the file unless given.
 
     Raises:
         UserError: other measurements.

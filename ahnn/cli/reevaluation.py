@@ -1,4 +1,4 @@
-"""Configuration of a re-evaluation: that of the finished run, with few permitted changes."""
+"""Configuration of a re-evaluation: the configuration of the finished run, with few permitted changes."""
 
 from __future__ import annotations
 
@@ -29,8 +29,7 @@ KEYS = ("label", "threads")
 SINCE = {"bias_sd": None, "bias_memory": None}
 """Keys of `measurement` missing in runs of version 0.2."""
 DATA = (*SIMULATION, "split", *SENSOR)
-"""Keys of `data` that define trajectories and sensor, not the training. The cache is that of the user,
-not that of the run.
+"""Keys of `data` that define trajectories and sensor, not the training. The cache belongs to the user.
 """
 
 

@@ -95,7 +95,7 @@ def windows(cfg: DictConfig) -> int:
 
 
 def steps_of(cfg: DictConfig) -> int:
-    """Return the optimiser steps of a training."""
+    """Return the number of optimiser steps of a training run."""
     there = windows(cfg)
     batches = -(-min(there, cfg.data.windows_per_epoch or there) // cfg.data.batch_size)
     return -(-batches // cfg.trainer.get("accumulate_grad_batches", 1)) * cfg.trainer.max_epochs

@@ -127,7 +127,7 @@ def _key(text: str) -> str:
 def build_sensors(
     nodes: DictConfig, cfg: DictConfig, run: Run, truth: Callable[[], System | None]
 ) -> dict[str, StreamSensor]:
-    """Build the sensors of a stream; by default that of the run's group `measurement`.
+    """Build the sensors of a stream; by default the sensor of the run's group `measurement`.
 
     Raises:
         UserError: no model, or incompatible standard deviations.
@@ -153,7 +153,7 @@ def build_sensors(
 
 
 def stations_of_file(file: str, space: Space, reference: Reference) -> dict[str, StreamSensor]:
-    """Return the stations of a file as sensors on the rotating Earth, from the epoch of time zero on.
+    """Return the stations of a file as sensors on the rotating Earth, with the epoch of time zero.
 
     Raises:
         UserError: no such file, or a station that measures nothing.

@@ -1,8 +1,8 @@
 """Trust rules for foreign configurations: classes that a run folder may build.
 
 A run folder is shared between people, so its config.yaml could name any importable callable. Only classes of
-this library are built, and those of installed packages that are declared in the entry-point group
-`ahnn.trusted`. Everything else requires the user's consent, `--trust`.
+this library are built, and classes that installed packages declare in the entry-point group `ahnn.trusted`.
+Everything else requires the user's consent, `--trust`.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ Unread = Iterator[tuple[str, str]]
 
 
 def asked_for(texts: Iterable[str] | None) -> Iterable[str]:
-    """Return overrides; None for those of the command line."""
+    """Return overrides; None: the overrides on the command line."""
     if texts is None:
         return HydraConfig.get().overrides.task if HydraConfig.initialized() else ()
     return texts
@@ -49,8 +49,8 @@ def require_read(cfg: DictConfig, prepared: Prepared, texts: Iterable[str] | Non
 
     Args:
         cfg: configuration of the training.
-        prepared: training built from it.
-        texts: overrides; None for those of the command line.
+        prepared: training run built from it.
+        texts: overrides; None: the overrides on the command line.
 
     Raises:
         UserError: an override without effect.
@@ -137,7 +137,7 @@ def unread_online(nodes: DictConfig, *, covariance: bool, named: bool = False) -
     Args:
         nodes: filter nodes.
         covariance: whether the covariance of the weights is known.
-        named: whether sensors are named, instead of that of the run.
+        named: whether sensors are named, instead of the sensor of the run.
     """
     yield from (found for found in unread_of_plugins(nodes) if not found[0].endswith(".patience"))
     noises = [options.get("process_noise") for _, options in of_plugins(nodes)]

@@ -93,10 +93,10 @@ def check_trajectories(given: Trajectories, space: Space) -> Trajectories:
 
 
 def check_states(given: Trajectories, dof: int) -> Trajectories:
-    """Validate trajectories of whole states, n = `dof`; return float64 states (B, T, 2n) and times (B, T).
+    """Validate trajectories of full states, n = `dof`; return float64 states (B, T, 2n) and times (B, T).
 
     Raises:
-        UserError: as for `check_trajectories`, or positions without momenta.
+        UserError: invalid trajectories (see `check_trajectories`), or positions without momenta.
     """
     names = tuple(f"{letter}{k}" for letter in "qp" for k in range(dof))
     trajectories = check_trajectories(given, Space("data", names))
@@ -138,7 +138,7 @@ def content_of(given: Trajectories, space: Space) -> Content:
     """Convert trajectories to file content; momenta that are all NaN mean positions only.
 
     Raises:
-        UserError: as for `check_trajectories`.
+        UserError: invalid trajectories; see `check_trajectories`.
     """
     states, times, *_ = check_trajectories(given, space)
     controls = check_controls(given, space, times)

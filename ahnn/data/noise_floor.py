@@ -76,7 +76,7 @@ def falls_as_noise(samples: Tensor, times: Tensor, level: Tensor) -> Tensor:
 
 
 def is_coloured(samples: Tensor, times: Tensor, level: Tensor) -> Tensor:
-    """Return components (D,) whose means of consecutive samples exceed those of white noise.
+    """Return components (D,) whose means of consecutive samples exceed the means of white noise.
 
     High-order differences are insensitive to noise correlated between samples.
     """

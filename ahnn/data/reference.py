@@ -84,7 +84,7 @@ class Reference(NamedTuple):
         """Complete the reference of a run with the user's settings.
 
         Raises:
-            UserError: a frame or centre that differs from that of the run.
+            UserError: a frame or centre that differs from the run.
         """
         for name in ("frame", "center"):
             ours, theirs = getattr(self, name), getattr(keys, name)
@@ -116,14 +116,14 @@ class Reference(NamedTuple):
         return self._replace(center=BODY)
 
     def turn(self, ours: Reference, who: str) -> str | None:
-        """Return the frame to which data must be transformed for a model; None for no transformation.
+        """Return the frame to which data must be transformed for a model; None: no transformation.
 
         Args:
             ours: reference of the model.
             who: description of the data, for messages.
 
         Raises:
-            UserError: another centre, or a frame that cannot be transformed to that of the model.
+            UserError: another centre, or a frame that cannot be transformed to the model's.
         """
         body = ours.center or BODY
         if self.center and alias(self.center) != alias(body):

@@ -37,14 +37,14 @@ class Sensor:
         space: description of the state components.
         measured: `state`, `position`, or a measurement model.
         noise: standard deviations in measurement units: a common number, one for positions and one for
-            momenta, one per component, or those of one of several stations; of recorded measurements also
-            `estimate`: the training finds them.
+            momenta, one per component, or the noise of one of several stations. For recorded measurements
+            also `estimate`: they are estimated in training.
         every: number of trajectory samples between measurements.
         stride: maximum number of trajectory samples per integrator step; each step ends at a measurement.
         gaps: fraction of randomly missing measurements.
         outliers: fraction of measured values that are off by 50 standard deviations.
-        bias_sd: standard deviations of constant biases, as `Biases.of` takes them: they are drawn, and the
-            training estimates them; None for none.
+        bias_sd: standard deviations of constant biases, in the format of `Biases.of`. The biases are drawn
+            from these and estimated in training. None: no biases.
         correlation: whether the training estimates how noise correlates in time.
         seed: seed of all random draws.
 

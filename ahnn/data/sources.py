@@ -20,7 +20,7 @@ from ahnn.types import Space, Trajectories
 
 
 class Source(Protocol):
-    """Source of whole trajectories with their state space."""
+    """Source of trajectories with their state space."""
 
     @property
     def space(self) -> Space:
@@ -47,7 +47,7 @@ class Source(Protocol):
 
 @runtime_checkable
 class Observed(Source, Protocol):
-    """Source of measurements that are no components of states, whose `read` has the positions they show."""
+    """Source of measurements that are no components of states; `read` returns positions from them."""
 
     def sensors(self) -> Any:
         """Return the model of all its sensors side by side, with their noise and biases."""

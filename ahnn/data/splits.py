@@ -1,4 +1,4 @@
-"""Training, validation and test splits of whole trajectories, common to all models."""
+"""Training, validation and test splits by trajectory, common to all models."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class SplitData:
         self._measured: dict[Split, Observations] = {}
 
     def __getitem__(self, split: Split) -> Trajectories:
-        """Return the whole trajectories of a split."""
+        """Return the trajectories of a split."""
         if not self._parts:
             data = self.source.read()
             begin = 0
@@ -55,7 +55,7 @@ class SplitData:
         return remembered(self["train"]) + remembered(self["val"])
 
     def beside(self, known: dict[str, Any] | None, seen: Sequence[int] = ()) -> str:
-        """Return the relation of the test trajectories to the data of a training; SAME if unchanged.
+        """Return the relation of the test trajectories to the data of a training run; SAME if unchanged.
 
         Args:
             known: `recipe` and `split` of the training; None if not recorded.

@@ -35,7 +35,7 @@ def deviations_of(path: Path, kind: Kind, times: Tensor, *, weighed: bool) -> Te
         weighed: whether a mass is stated.
 
     Returns:
-        (B, 2n); None if the file has none, or some that are not > 0, as for predictions from exact states.
+        (B, 2n); None if the file contains none, or any that is not > 0, as in predictions from exact states.
 
     Raises:
         UserError: standard deviations of only some components, or in another unit than the components.

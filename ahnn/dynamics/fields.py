@@ -114,7 +114,7 @@ class HamiltonianDynamics(IntegratedField):
         inertia: factor m of T = p^2 / 2m, used by `mechanical` and `central_body`; a number, or one per
             coordinate for `mechanical`.
         hamiltonian: generic, separable, mechanical, central_body, mass_matrix or pairs.
-        mu: gravitational parameter of `central_body`; None learns it.
+        mu: gravitational parameter of `central_body`; None: learned.
         falloff: k of a learned V(q) = (R / r)^k N(q); 0 for no prescribed decay with distance.
         dimensions: number of coordinates of a body, for `pairs`.
         inputs: cartesian, isotropic or radial positions, or angles.

@@ -32,7 +32,7 @@ def conditioned(
             [[chol_y, 0], [cross, chol]]. A missing component has variance one and no correlation.
         innovation: (B, M), zero where the component is missing.
         y: (B, M), NaN where missing.
-        repaired: (B,) bool, whether the factor was repaired; None if no repair was needed.
+        repaired: (B,) bool, whether the factor was repaired; None: no repairs.
     """
     size, present = y.shape[-1], ~torch.isnan(y)
     chol_y, cross, chol = joint[:, :size, :size], joint[:, size:, :size], joint[:, size:, size:]

@@ -40,7 +40,7 @@ def make_setting(
         measurement_sd: standard deviations of its noise; None for the system's default, for positions.
         start_sd: standard deviations of the initial state (`state_deviations`); None for the system's
             default.
-        bias_sd: standard deviations of estimated measurement biases; None for no biases.
+        bias_sd: standard deviations of estimated measurement biases; None: no biases.
         bias_memory: time constants of the biases; None for constant biases.
         cadence: steps between two measurements.
         times: measurement times, as an alternative to a cadence.

@@ -21,7 +21,7 @@ def backward_law(joint: Tensor) -> tuple[Backward, Tensor | None]:
     """Return the conditional distribution of the state before a step given that after it, (B, D, D).
 
     The gain is G = C P⁻¹ with C the cross-covariance of the states before and after, P the predicted
-    covariance (Särkkä 2008, eq. 14); the conditional covariance is that of the smoother, P_k - G P Gᵀ, as a
+    covariance (Särkkä 2008, eq. 14); the smoother's conditional covariance is P_k - G P Gᵀ, as a
     factor. Where P is singular, G = C P⁺ with the pseudo-inverse of P scaled to unit variances.
 
     Args:
@@ -74,7 +74,7 @@ def _scaled(chol: Tensor) -> tuple[Tensor, Tensor]:
 def smoother(result: FilterResult) -> SmootherResult:
     """Compute the beliefs given all measurements, from a filter run with `smoothing=True`.
 
-    A member that failed at step k is smoothed over its steps before k, and NaN from there on.
+    A member that failed at step k is smoothed over its steps before k, and NaN after them.
 
     Raises:
         ValueError: the filter kept no backward kernels.

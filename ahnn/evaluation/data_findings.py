@@ -23,7 +23,7 @@ from ahnn.progress import track
 
 LEVELS = ("fault", "warning", "note")
 SHOWN = 5
-"""Maximum number of findings of a kind listed in the table; the others are counted."""
+"""Maximum number of findings of a kind listed in the table; more are counted."""
 CURVES = 6
 """Maximum number of trajectories of a file in a figure."""
 LOOKS = tuple(
@@ -103,7 +103,7 @@ def draw(found: Examined, folder: Path) -> None:
 
 
 def picture(content: Content, findings: list[Finding]) -> Figure:
-    """Plot positions with findings, and stated velocities with those from position differences."""
+    """Plot positions with findings, and stated velocities with velocities from position differences."""
     figure = style.canvas(8, 6 if content.rates else 3.2)
     panels = figure.subplots(2 if content.rates else 1, 1, sharex=True, squeeze=False)[:, 0]
     n, shown = len(content.positions), content.tracks[:CURVES]

@@ -32,13 +32,14 @@ class Forecast(NamedTuple):
     """Coverage of forecast bands.
 
     Attributes:
-        coverage: shares of the measured numbers ahead within 1, 2 and 3 standard deviations.
-        width: these standard deviations, rms, in those of the noise; near 1 little else was tested.
+        coverage: fractions of the forecast measurements within 1, 2 and 3 standard deviations.
+        width: rms of these standard deviations, relative to the noise; if close to 1, little but the noise
+            was tested.
         parameters: mean fraction of the variance of forecast states due to the parameters.
-        states: the same shares of the components of true states; None where these are not known.
+        states: fractions for the components of true states; None if these are unknown.
         right: range of the coverage of calibrated bands, the middle 95 % of draws.
-        lost: trajectories whose first half no start fits, which do not count in the others.
-        trajectories: how many were tried.
+        lost: number of trajectories whose first half no start fits; they are excluded from all other values.
+        trajectories: number of trajectories tried.
         outliers: fraction of the measured values that were excluded as outliers.
         single: errors of the last true state of the first trajectory, in standard deviations.
     """

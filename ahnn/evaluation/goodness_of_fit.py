@@ -33,7 +33,7 @@ class Explained(NamedTuple):
         band: 95 % interval for pure noise.
         correlation: serial correlation of residuals; 0 for pure noise.
         correlation_band: half-width of its 95 % interval about 0.
-        lost: number of trajectories that cannot be fitted, excluded from the others.
+        lost: number of trajectories that cannot be fitted, excluded from all other values.
         trajectories: number of trajectories tried.
         outliers: fraction of measured values excluded as outliers.
         halved_steps: chi-square of the field with halved steps; None without a field.

@@ -16,9 +16,9 @@ from torch import Tensor
 from ahnn.numbers import chi_square_quantile
 
 VARIANCE = 0.99
-"""Part of the variance of the bands that the directions have together; the others are hardly seen in them."""
+"""Fraction of the variance of the bands due to these directions; the rest hardly affects the bands."""
 MIDDLE = 0.95
-"""Of trainings whose bands are right, this fraction is within the interval."""
+"""Fraction of training runs with calibrated bands that lie within the interval."""
 HALF = 0.5
 """An interval that admits bands of half or of twice the right width is no check."""
 
@@ -36,7 +36,7 @@ class DirectionTest(NamedTuple):
 
     @property
     def right(self) -> tuple[float, float]:
-        """Interval of the scatter in the middle 95 % of trainings whose bands are right."""
+        """Interval of the scatter in the middle 95 % of training runs with calibrated bands."""
         low, high = (chi_square_quantile((1 + sign * MIDDLE) / 2, self.directions) for sign in (-1, 1))
         return (low / self.directions) ** 0.5, (high / self.directions) ** 0.5
 
@@ -79,7 +79,7 @@ def direction_test(parts: Iterable[tuple[Tensor, Tensor]]) -> DirectionTest:
 
 
 def together(tests: Sequence[DirectionTest]) -> DirectionTest:
-    """Return one test of several trainings that are independent of each other."""
+    """Return one test of several independent training runs."""
     count = sum(test.directions for test in tests)
     squares = sum(test.directions * test.scatter**2 for test in tests)
     return DirectionTest(count, (squares / count) ** 0.5)

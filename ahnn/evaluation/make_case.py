@@ -99,14 +99,14 @@ def as_test(measured: Segment) -> Trajectories:
 
 
 def measured_test(data: SplitData, noise: NoiseEstimate | None) -> Segment | None:
-    """Return the measurements of whole test trajectories; None if states are known."""
+    """Return the measurements of the test trajectories; None if states are known."""
     if data.sensor is None:
         return None
     return whole(data.measured("test"), instrument_of(data, noise))
 
 
 def instrument_of(data: SplitData, noise: NoiseEstimate | None) -> Instrument:
-    """Return what measured, with the noise that a training found; raises as `NoiseEstimate.applied`."""
+    """Return the instrument, with the noise estimated in training; raises as `NoiseEstimate.applied` does."""
     assert data.sensor is not None
     found = data.instrument()
     return found if noise is None else noise.applied(found, data.sensor.unknown)

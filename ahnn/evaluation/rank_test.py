@@ -20,7 +20,7 @@ TIMES = ("a quarter", "half", "the end")
 REFUSED = 0.05
 """Probability, over all tests together, of refusing right bands."""
 DRAWS = 20
-"""Fewer say nothing of ranks that are not refused."""
+"""With fewer draws, ranks that pass the test mean little."""
 Score = Mapping[str, Mapping[str, Any]]
 """Numbers `uncertainty` and `forecast` of metrics.json."""
 

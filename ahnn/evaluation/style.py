@@ -1,6 +1,6 @@
 """Figure style: colour-blind safe colours, time and error axes, legends.
 
-The colours are those of Okabe & Ito (2008); line styles differ too, for print without colour.
+The colours are from Okabe & Ito (2008); line styles differ too, for print without colour.
 """
 
 from __future__ import annotations
@@ -124,12 +124,12 @@ def legend_below(figure: Figure, *panels: Any) -> None:
 
 
 def logarithmic(axes: Any, first: int, others: Iterable[Any] = ()) -> None:
-    """Make the vertical axis logarithmic, scaled to the curves from their entry `first` on.
+    """Make the vertical axis logarithmic, scaled to the curves after their entry `first`.
 
     Args:
         axes: axes with lines.
         first: first entry considered in the scaling: errors from a true start begin at zero.
-        others: further axes with the same scale.
+        others: further axes that share the scale.
     """
     curves = [line for each in (axes, *others) for line in each.get_lines()]
     series = [torch.as_tensor(line.get_ydata()).double() for line in curves]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from ahnn.evaluation.baselines import Worth
 
 LINES = 5
-"""Findings of a verdict, at most; the others are in the notes."""
+"""Maximum number of findings in a verdict; more are in the notes."""
 GRADES = {"good": 0.01, "fair": 0.1}
 """Largest relative errors of a grade, where no noise of measurements is part of them."""
 
@@ -24,7 +24,7 @@ def verdict(
 
     Args:
         worth: of its prediction.
-        faults: findings that ask for a remedy, the most severe first.
+        faults: findings that need a remedy, the most severe first.
         others: findings on its standard deviations, and of plugins.
         noisy: whether the error includes the noise of measurements, which is no fault of the model.
         caveat: reason why the training cannot have made a good model; "" without one.

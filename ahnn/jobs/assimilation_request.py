@@ -105,7 +105,7 @@ def require_places(options: AssimilationRequest) -> None:
 
 
 def require_together(options: AssimilationRequest) -> None:
-    """Raise UserError for options of single-object streams combined with those of many objects."""
+    """Raise UserError for options of single-object streams combined with options for many objects."""
     if options.objects is None:
         for key in ("states", "shard"):
             if (value := getattr(options, key)) is not None:

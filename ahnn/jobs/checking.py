@@ -26,7 +26,7 @@ def check(paths: Sequence[Path], figures: Path | None, options: dict[str, Any]) 
         options: mass, gap, and reading options.
 
     Raises:
-        UserError: a defect that would spoil a training, or tracking data that cannot be read.
+        UserError: a defect that would spoil the training, or tracking data that cannot be read.
     """
     if figures is not None:
         require_writable(figures)

@@ -1,4 +1,4 @@
-"""Closing stage of a training: final steps on measurements, saved results, and evaluation."""
+"""Closing stage of training: final steps on measurements, saved results, and evaluation."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def judge(prepared: Prepared, seconds: float) -> float:
     """Evaluate the best weights of a run, write and show the results, and return the validation loss.
 
     Args:
-        prepared: prepared training.
+        prepared: prepared training run.
         seconds: duration of its steps.
     """
     folder, data, trainer, plan = prepared.folder, prepared.data, prepared.trainer, prepared.assessment

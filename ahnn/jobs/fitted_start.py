@@ -45,7 +45,7 @@ TRIED = 32
 ITERATIONS = 30
 """Largest number of iterations from the best of them."""
 MOST = 0.2
-"""Largest number of outliers, as a fraction of the others."""
+"""Maximum number of outliers, as a fraction of all other measurements."""
 UNSEEN = 1e-7
 """Ratio of the least to the largest singular value of measurements below which a direction is unseen."""
 
@@ -83,8 +83,8 @@ def fitted_start(
 ) -> FittedStart:
     """Fit a state to the first measurements of a file by robust least squares.
 
-    Its covariance is that of noise, learned parameters and biases of sensors, times chi-square
-    per degree of freedom where that exceeds 1.
+    Its covariance includes noise, learned parameters and biases of sensors, times chi-square per degree of
+    freedom if that exceeds 1.
 
     Args:
         run: a trained model.
@@ -180,7 +180,7 @@ def segment_of(
 ) -> tuple[Segment, Tensor]:
     """Return readings side by side as one segment, and the standard deviations of the biases in it, (M,).
 
-    Each sensor, and each standard deviation of its own that a reading has, is a group of columns.
+    Each sensor, and each standard deviation in a reading, is a group of columns.
     """
     groups = {(one.sensor, one.deviations): [] for one in readings}
     times = sorted({one.time for one in readings})

@@ -51,11 +51,11 @@ class OrbitFollowing(NamedTuple):
     """Parts of an online orbit determination.
 
     Attributes:
-        setup: of the determination.
-        folder: that the names of its files start from.
-        estimator: that follows.
-        noise: standard deviations [position, velocity] that a minute adds, km and km/s.
-        other: file of the measurements that are followed; None follows those of the setup.
+        setup: setup of the determination.
+        folder: folder from which the names of its files start.
+        estimator: estimator that follows.
+        noise: standard deviations [position, velocity] added per minute, km and km/s.
+        other: file of the measurements that are followed; None: the measurements of the setup.
     """
 
     setup: OrbitSetup
@@ -139,7 +139,7 @@ def sensors_of(
 def fitted_start(
     asked: AssimilationRequest, orbit: OrbitFollowing
 ) -> tuple[PreparedOrbit, OrbitBelief, Mask]:
-    """Fit the first measurements; return the problem, the belief at the last of them, and the others.
+    """Fit the first measurements; return the problem, the belief at the last one, and the rest of them.
 
     Raises:
         UserError: the number to fit is not given.
@@ -160,13 +160,13 @@ def fitted_start(
 
 
 def fitted_count(wanted: float | None, held_out: float, count: int, *, whole: bool) -> int:
-    """Return how many of so many measurements are fitted.
+    """Return the number of measurements to fit.
 
     Args:
-        wanted: number, or fraction below 1; None for all that are not held out.
-        held_out: fraction.
-        count: of all.
-        whole: whether all of them may be.
+        wanted: number, or fraction below 1; None: all that are not held out.
+        held_out: fraction held out.
+        count: number of all measurements.
+        whole: whether all of them may be fitted.
 
     Raises:
         UserError: the number is undetermined.

@@ -86,7 +86,7 @@ class Candidate(NamedTuple):
 
 
 def plan(asked: PlanRequest) -> None:
-    """Choose measurements, show the plan beside one of equal spacing, and write it if asked.
+    """Choose measurements, compare the plan with equal spacing, and write it if requested.
 
     Raises:
         UserError: a missing run, invalid starts, stations or durations, or nothing to choose from.
@@ -144,7 +144,7 @@ def line(text: str, value: str) -> str:
 
 
 def stations_of(file: str, begin: Starts, run: Run) -> list[PlannedSensor]:
-    """Return the stations of a file, on an Earth that turns from the epoch of time zero on."""
+    """Return the stations of a file, on an Earth that turns from the epoch of time zero."""
     if begin.reference.epoch is None:
         log.warning("epoch: not given; the Greenwich meridian is assumed on the x axis at time zero")
     made, angle = [], earth_axes(begin.reference)
@@ -156,7 +156,7 @@ def stations_of(file: str, begin: Starts, run: Run) -> list[PlannedSensor]:
 
 
 def fixes(sd: list[float] | float | None, run: Run) -> list[PlannedSensor]:
-    """Return a sensor of the position, each fix a session of its own.
+    """Return a sensor of the position, each fix a separate session.
 
     Raises:
         UserError: no standard deviations.
@@ -175,7 +175,7 @@ def candidates(
     """Return the sessions of instruments in the order of time.
 
     Args:
-        instruments: of what could be measured.
+        instruments: instruments of possible measurements.
         states: (T, D) predicted states.
         factors: (T, D, R) of their covariances.
         times: (T,).

@@ -36,7 +36,7 @@ class Biases(NamedTuple):
             measurement: measurement model with M components.
             deviations: common number, one per component, or as in `noise_deviations`; 0 for no bias; None for
                 no biases.
-            memory: time constants, in the same form; None for constant biases.
+            memory: time constants, in the same format; None: constant biases.
             who: prefix of keys in messages.
 
         Raises:

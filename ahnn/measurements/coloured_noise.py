@@ -4,7 +4,7 @@ The noise of a component, in its standard deviations, is w + c: white noise of v
 Gauss-Markov noise of variance f, which correlates by exp(-t / memory) (Tapley, Schutz & Born 2004, section
 4.9). Filters estimate c as additional states (`ahnn.estimation.sensor_error`). A scalar Kalman filter of c in
 each row makes white residuals of coloured ones: innovations over their standard deviations. Its gains depend
-on times alone, so that whitening is a linear map, lower triangular in time.
+only on times, so that whitening is a linear map, lower triangular in time.
 """
 
 from __future__ import annotations

@@ -54,10 +54,11 @@ class GroundStation(Differing):
         rotation_rate: rotation rate of the Earth, rad/s.
         radius: equatorial radius, km.
         flattening: flattening of the ellipsoid; 0 for a sphere.
-        mass: mass of the satellite in kg; the range-rate is that of the velocity p / mass.
+        mass: mass of the satellite in kg; the range rate is computed from the velocity p / mass.
         min_elevation: minimum elevation in degrees. 0 is the horizon, -90 means unlimited view.
-        event: what the times of measurements tag. At `bounce` geometry is instantaneous; else light takes its
-            time, there and back: a range is half the way, and positions move by their velocities.
+        event: event tagged by the times of measurements. With `bounce`, geometry is instantaneous. Otherwise
+            the light time there and back counts: a range is half the path, and positions move by their
+            velocities.
 
     Raises:
         UserError: a number is not finite or outside its limits.

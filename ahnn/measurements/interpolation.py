@@ -14,7 +14,7 @@ TOLERANCE = 1e-9
 def lagrange(times: Tensor, values: Tensor, t: float, order: int) -> Tensor:
     """Interpolate a table at time t by the polynomial through the nearest order + 1 rows.
 
-    At a row time the result is that row, bit for bit. Between rows with spacing h the error is at most
+    At a row time the result is exactly that row. Between rows with spacing h the error is at most
 
         max |f^(n+1)| |(t - t_0) ... (t - t_n)| / (n+1)!,    n = order,
 

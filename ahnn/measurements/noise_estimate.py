@@ -1,4 +1,4 @@
-"""Unknown noise parameters of measurements before a training, and their estimates after it."""
+"""Unknown noise parameters of measurements before training, and their estimates after it."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from ahnn.measurements.coloured_noise import Colour
 from ahnn.measurements.segment import Instrument
 
 TOLD = 0.5
-"""A bias whose standard deviation is still so large a fraction of that of its prior was not determined."""
+"""A bias was not determined if its standard deviation is still this fraction of its prior's."""
 
 
 class UnknownNoise(NamedTuple):
-    """Noise parameters estimated by a training in addition to the dynamics.
+    """Noise parameters estimated in training in addition to the dynamics.
 
     Attributes:
         sizes: whether standard deviations.
-        correlation: whether a coloured part.
-        bias_sd: (M,) standard deviations of constant biases, 0 where there is none; None for none.
+        correlation: whether to estimate a coloured part.
+        bias_sd: (M,) standard deviations of constant biases, 0 where there is none; None: no biases.
     """
 
     sizes: bool = False

@@ -43,8 +43,8 @@ class StationEntry:
     Attributes:
         latitude, longitude: geodetic, degrees.
         height: m above the ellipsoid.
-        min_elevation: degrees below which it sees nothing.
-        event: that times tag; None where nothing is said.
+        min_elevation: minimum elevation in degrees.
+        event: event tagged by times; None if not stated.
         noise: standard deviations by kind, km, degrees and km/s.
         bias: known biases, likewise.
         bias_sd: standard deviations of the biases, likewise.
@@ -150,7 +150,7 @@ class BiasedStation(Differing):
 
 
 class StationsOfFile(Several):
-    """The stations of a file, side by side; components have the names of their stations, as `kiruna.range`.
+    """The stations of a file, side by side; components include the station name, such as `kiruna.range`.
 
     Args:
         file: path of the stations, see `ahnn.measurements.station_file`.
@@ -160,8 +160,8 @@ class StationsOfFile(Several):
 
     Attributes:
         stations: by name.
-        deviations: standard deviations of all their numbers.
-        bias_sd: those of their biases, 0 for none.
+        deviations: standard deviations of all numbers.
+        bias_sd: standard deviations of their biases, 0: no bias.
 
     Raises:
         UserError: no station, or an invalid one.

@@ -2,8 +2,8 @@
 
 To first order, a measurement's information does not depend on its value. The unknowns are independent with
 unit variance, the columns of factors of covariances. A plan grows by the candidate that lowers the trace of
-the forecast's covariance most; then single measurements are exchanged while that lowers it further (Fedorov
-1972, Theory of Optimal Experiments, chapter 3).
+the forecast's covariance most; then individual measurements are exchanged while that lowers it further
+(Fedorov 1972, Theory of Optimal Experiments, chapter 3).
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def plan_measurements(candidates: Sequence[Tensor], forecast: Tensor, count: int
 def _one_by_one(
     rows: list[Tensor], forecast: Tensor, among: Sequence[int], count: int
 ) -> tuple[list[int], Tensor]:
-    """Choose among some candidates the best beside those before it; return also the variances."""
+    """Choose the best of some candidates in addition to earlier ones; return also the variances."""
     chosen, variances = [], [_trace(forecast)]
     for _ in range(min(count, len(among))):
         left = [k for k in among if k not in chosen]

@@ -85,7 +85,7 @@ class NBody(System):
         return kinetic - (product / r).sum((-1, -2)) / 2
 
     def force(self, q: Tensor) -> Tensor:
-        """Return the attraction of each body by the others, shape (..., 2N)."""
+        """Return the attraction of each body by all other bodies, shape (..., 2N)."""
         apart, r, product = self.between(q)
         return -(product / r**3).unsqueeze(-1).mul(apart).sum(-2).flatten(-2)
 

@@ -29,7 +29,7 @@ class Sampling(NamedTuple):
     """Training and test trajectories of a map.
 
     Attributes:
-        system: system; its interval is the step of the map, its steps those of the training.
+        system: system; its interval is the step of the map, its number of steps the length of training runs.
         runs: number of trajectories, a tenth each for validation and test.
         tested: number of test steps.
         begin: (count, draw) -> starts.
@@ -55,7 +55,7 @@ def bodies(count: int, draw: int) -> Tensor:
 
 
 def first_quarter(exact: Tensor) -> Tensor:
-    """Return trajectories (B, T, 2) up to the first sample past q = 0, NaN from there on."""
+    """Return trajectories (B, T, 2) up to the first sample past q = 0, NaN after it."""
     passed = (exact[..., :1] * exact[:, :1, :1] < 0).cummax(1).values
     before = torch.cat((torch.zeros_like(passed[:, :1]), passed[:, :-1]), dim=1)
     return exact.masked_fill(before, torch.nan)

@@ -43,8 +43,8 @@ def true_motion(x: Tensor, steps: int, dt: float) -> Tensor:
 def draw(k: int) -> Draw:
     """Draw one noisy orbit, with the error of its continuation from the best-fitting start.
 
-    Training uses pieces of it with separate starts, since shooting over the whole orbit does not converge. It
-    also serves for validation and test, as there are no other data.
+    Training uses pieces of it with separate starts, since shooting over the entire orbit does not converge.
+    It also serves for validation and test, as there are no other data.
     """
     start = begin(k)
     with torch.no_grad():

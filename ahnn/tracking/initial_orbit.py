@@ -1,4 +1,4 @@
-"""A first orbit from three positions or directions, where nobody gives a start; two bodies, km and s."""
+"""Initial orbit from three positions or directions, if no start is given; two bodies, km and s."""
 
 from __future__ import annotations
 

@@ -239,9 +239,9 @@ def require_light(setup: OrbitSetup, data: TrackingData) -> None:
 
 
 def biases_of(choice: KindChoice, data: TrackingData, entries: dict[str, StationEntry]) -> StationBiases:
-    """Return which stations and kinds have biases, what these are known to be, and how well.
+    """Return which stations and kinds have biases, their known values, and standard deviations.
 
-    A station's own numbers go before those of all; a bias that is known and has no deviation stays as it is.
+    A station's own numbers replace the common numbers; a known bias without deviation is kept.
     """
     pairs, means, deviations = list[tuple[int, int]](), list[float](), list[float]()
     for s, name in enumerate(data.stations):

@@ -29,7 +29,7 @@ class SatelliteFlow:
     Args:
         forces: on the satellite.
         known: values of all their parameters, (P,).
-        free: which of them are components of the state, (P,) bool; the others keep their value.
+        free: which of them are components of the state, (P,) bool; all other parameters keep their value.
     """
 
     clock = 1
@@ -38,11 +38,11 @@ class SatelliteFlow:
         self.forces, self.known, self.free = forces, known, free
 
     def at(self, time: float | Tensor) -> SatelliteStep:
-        """Return the flow from an instant on."""
+        """Return the flow from an instant."""
         return SatelliteStep(self, float(time))
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
-        """Return the states after dt from time zero on."""
+        """Return the states after dt from time zero."""
         return self.at(0.0)(x, dt)
 
     def parameters(self, x: Array) -> Array:
@@ -53,7 +53,7 @@ class SatelliteFlow:
 
 
 class SatelliteStep(NamedTuple):
-    """The flow of forces from an instant on.
+    """The flow of forces from an instant.
 
     Attributes:
         flow: of the forces.

@@ -1,7 +1,7 @@
-"""Source of trainings on what stations measured: ranges, angles and range rates of satellites in files.
+"""Source for training on station measurements: ranges, angles and range rates of satellites in files.
 
 States are in the true equator of date, about whose pole the Earth turns (CIRS): precession, nutation, polar
-motion and refraction are not modelled, as by `ahnn.measurements.GroundStation`.
+motion and refraction are not modelled, as in `ahnn.measurements.GroundStation`.
 """
 
 from __future__ import annotations
@@ -37,21 +37,22 @@ FRAME = Reference("CIRS", "EARTH", "UTC")
 
 @checked
 class Sightings:
-    """Trajectories of satellites as stations measured them, per unit mass.
+    """Trajectories of satellites from station measurements, per unit mass.
 
     Args:
         name: name of the data, in folders and tables.
-        path: path of one or several files, as `read_tracking` reads them; each satellite of a file is a
+        path: path of one or several files, in the formats of `read_tracking`; each satellite of a file is a
             trajectory.
-        stations: file of the stations, see `ahnn.measurements.station_file`: what one has a noise of counts.
-        cut: number of times of the segments into which trajectories are cut; None for no cutting.
+        stations: file of the stations, see `ahnn.measurements.station_file`; only measurements with a stated
+            noise are used.
+        cut: number of times of the segments into which trajectories are cut; None: not cut.
         gap: multiple of the median step that counts as a gap, for times not on a grid.
 
     Attributes:
-        measurement: the stations that the files name, side by side.
+        measurement: the stations named in the files, side by side.
 
     Raises:
-        UserError: a file that cannot be read, a station that is not known, or nothing that counts.
+        UserError: a file that cannot be read, an unknown station, or no measurement with a stated noise.
     """
 
     truth: System | None = None

@@ -1,4 +1,4 @@
-"""Which mistake explains residuals that are no noise: what would fit if it were undone.
+"""Search for the mistake that explains residuals that are not noise: undoing it gives a fit.
 
 Stations that stand elsewhere and angles in another unit are undone and fitted again. A rotation of the Earth,
 as from UTC given as UT1, is a further unknown of the linearised measurements (a score test: Rao 1948);
@@ -34,11 +34,11 @@ CERTAIN = 5.0
 RATE = 7.292115e-5
 """Of the Earth, rad/s."""
 LARGEST = 1.0
-"""s that UT1 is from UTC at most; what is more is another mistake."""
+"""Maximum of UT1 - UTC in s; a larger difference is another mistake."""
 TURN = 0.1
 """s by which the Earth is turned for a difference."""
 SAME = 1e-3
-"""s to which values of UT1 - UTC are the same."""
+"""Difference in s below which values of UT1 - UTC agree."""
 DEGREE = np.pi / 180
 
 
@@ -92,7 +92,7 @@ def size_of(problem: OrbitProblem, point: LinearisedOrbit) -> float:
 def nearest_first(problem: OrbitProblem) -> list[tuple[str, OrbitProblem]]:
     """Return the mistakes whose correction brings measurements closest to the initial orbit, best first.
 
-    Others are not fitted: their paths go astray.
+    All other cases are not fitted: their paths diverge.
     """
 
     def distance(other: OrbitProblem) -> float:
@@ -170,9 +170,9 @@ def orientation_mistake(
     """Return a sentence where UT1 - UTC is another than the IERS has it, which most residuals do not show.
 
     Args:
-        used: orientation of the Earth as it was given.
-        known: that of the IERS.
-        rotation: of the measurements.
+        used: orientation of the Earth as given.
+        known: orientation of the Earth by the IERS.
+        rotation: rotation of the measurements.
     """
     day = rotation.day(0.5 * (rotation.first + rotation.last))
     if not known.mjd[0] <= day <= known.mjd[-1]:

@@ -18,11 +18,11 @@ from ahnn.training.shooting import Shooting
 from ahnn.training.weak import Weak
 
 RELATIVE, WEAK = "relative", "weak"
-"""Names of the stages in the weak form, on whole trajectories of measured states: first relative to the
+"""Names of the stages in the weak form, on full trajectories of measured states: first relative to the
 field, then relative to the noise.
 """
 WHOLE = "whole"
-"""Name of the stage of shooting over whole trajectories."""
+"""Name of the stage of shooting over full trajectories."""
 STAGE = (
     "intervals >= 3, relative, weak or whole, with a fraction of the epochs and optionally the segments "
     "per step"
@@ -77,13 +77,13 @@ class MeanSquare(nn.Module):
 
 
 class Phase(NamedTuple):
-    """Phase of a training.
+    """Phase of the training.
 
     Attributes:
         until: fraction of the epochs at which it ends.
         objective: objective minimised in the phase.
         stretches: number of segments per step; None for the batch size of the data.
-        left: minimum number of epochs for what follows.
+        left: minimum number of epochs for later phases.
     """
 
     until: float
@@ -113,7 +113,7 @@ class Curriculum:
         return self._phase(epoch, epochs).objective
 
     def intervals(self, epoch: int, epochs: int) -> int | None:
-        """Return the number of intervals per segment in an epoch; None for whole trajectories."""
+        """Return the number of intervals per segment in an epoch; None: full trajectories."""
         return cast(Shooting | Weak, self.at(epoch, epochs)).intervals
 
     def stretches(self, epoch: int, epochs: int) -> int | None:
@@ -126,7 +126,7 @@ class Curriculum:
 
 
 def make_curriculum(size: int, window: int, options: dict[str, Any]) -> tuple[nn.Module, Curriculum]:
-    """Build the loss for states of D = size components, and the objectives of a training.
+    """Build the loss for states of D = size components, and the objectives of the training.
 
     Args:
         size: number D of state components.
@@ -171,7 +171,7 @@ def named(loss: Loss, window: int) -> Objective:
 
 
 def staged(options: SegmentOptions) -> Curriculum:
-    """Build a curriculum of shooting over growing segments, validated on whole trajectories."""
+    """Build a curriculum of shooting over growing segments, validated on full trajectories."""
     stages = cast("list[tuple[int | str, float, int]]", options.stages)
     phases = [Phase(until, objective_of(name, options.robust), *more) for name, until, *more in stages]
     return Curriculum(phases, Shooting(None, options.robust), None, options.closing)

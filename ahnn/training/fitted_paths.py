@@ -1,4 +1,4 @@
-"""Region covered by a training on measurements: states along the fitted paths.
+"""Region covered by training on measurements: states along the fitted paths.
 
 Before training, paths are known only from smoothed measurements, which are missing where samples are sparse,
 as near a perigee.

@@ -1,4 +1,4 @@
-"""Final steps of a training on measurements, and Laplace's approximation of the parameter covariance.
+"""Final steps of training on measurements, and Laplace's approximation of the parameter covariance.
 
 With all measurements in every step there is no mini-batch noise, and Gauss-Newton steps on residuals and
 prior converge to the optimum. In parameter space they follow a curved valley in many short steps, so the last
@@ -53,7 +53,7 @@ With 95 % the noise of held-out measurements would widen the bands of one correc
 def conclude(
     dynamics: Dynamics, train: Segment, held_out: Segment, steps: int, robust: RobustName = "none"
 ) -> Uncertainty | None:
-    """Take the final steps of a training and return the covariance of the resulting parameters.
+    """Take the final steps of the training and return the covariance of the resulting parameters.
 
     Args:
         dynamics: float64 dynamics with a field, updated in place.
@@ -183,7 +183,7 @@ class Noise(NamedTuple):
 
 
 def scatter(sums: Tensor, degrees: Tensor) -> float:
-    """Estimate the variance of a residual's contribution to the sum from that of whole segments.
+    """Estimate the variance of a residual's contribution to the sum from the sums of segments.
 
     For squares of normal residuals of variance v it is 2 v^2, the lower limit of the result, since a few
     segments may agree by chance. Outliers make it several times larger, even with a robust loss.

@@ -1,4 +1,4 @@
-"""Length scales of a Gaussian process by maximum evidence, before the final steps of a training.
+"""Length scales of a Gaussian process by maximum evidence, before the final steps of the training.
 
 Parameter steps fit lengths like weights: shorter lengths fit more of the noise. The evidence p(measurements |
 lengths, strength), with weights integrated out, is largest for the smoothest process that the measurements

@@ -25,7 +25,7 @@ def near(sums: Tensor, degrees: Tensor, hopeless: float = HOPELESS) -> Tensor:
 
 
 class Limit(NamedTuple):
-    """Cost limit of single segments, which would dominate all others for inaccurate dynamics.
+    """Cost limit per segment: for inaccurate dynamics a few segments would dominate the sum.
 
     Attributes:
         most: (B,) sum of squares up to which a segment counts as it is; beyond, by its logarithm.

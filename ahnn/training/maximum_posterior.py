@@ -82,13 +82,13 @@ class WideProblem(ShootingProblem):
 
     @torch.no_grad()
     def gradient(self, theta: Tensor) -> Tensor:
-        """Return J^T r, shape (P,), as `ShootingProblem.gradient`."""
+        """Return J^T r, shape (P,), like `ShootingProblem.gradient`."""
         return kept("gradient", lambda: {"gradient": super(WideProblem, self).gradient(theta)})["gradient"]
 
     def fit(
         self, trial: Trial, starts: Tensor | None, batch: Segment, steps: Steps, hopeless: float
     ) -> Fitted:
-        """Fit the initial states; with a journal their paths follow from them alone, so that bits agree."""
+        """Fit the initial states; with a journal their paths follow only from them, so that bits agree."""
         return self._paths(
             trial, lambda: super(WideProblem, self).fit(trial, starts, batch, steps, hopeless), batch, steps
         )

@@ -1,8 +1,8 @@
 """Noise of residuals: standard deviations and coloured part, by restricted maximum likelihood.
 
 Residuals r of a segment are noise less what D unknowns of its start have taken of it. With X the derivatives
-of residuals by these and V the covariance of the noise, twice the negative log likelihood of what no start
-can explain is
+of residuals by these and V the covariance of the noise, twice the negative log likelihood of the part that no
+start can explain is
 
     log det V + log det(X^T V^-1 X) + r^T V^-1 r - b^T (X^T V^-1 X)^-1 b,    b = X^T V^-1 r
 

@@ -1,4 +1,4 @@
-"""Check that a training can resume from a checkpoint, made on copies before the training is modified."""
+"""Check that a run can resume from a checkpoint, made on copies before the run is modified."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NEEDED |= {"epoch": int, "global_step": int}
 
 
 def require_resumable(path: Path, model: Any, trainer: Any) -> None:
-    """Check that a checkpoint is present, intact, and of the same training.
+    """Check that a checkpoint is present, intact, and of the same training run.
 
     Args:
         path: path of the checkpoint.

@@ -19,7 +19,7 @@ from ahnn.errors import UserError
 from ahnn.stored import Known, read
 
 KEPT = 500
-"""Maximum number of representative states, at most half of the training; the others define the unit."""
+"""Maximum number of representative states, at most half of the training; the rest define the unit."""
 FARTHEST = 0.01
 """Fraction of the training states with novelty above 1."""
 

@@ -34,7 +34,7 @@ class Examined(NamedTuple):
 
     @property
     def faults(self) -> list[Finding]:
-        """Findings that would spoil a training."""
+        """Findings that would spoil the training."""
         return [finding for finding in self.findings if finding.level == "fault"]
 
 

@@ -9,7 +9,7 @@ from ahnn.data.doctor.finding import Finding
 from ahnn.data.files.samples import Track
 
 RUN = 8
-"""Minimum number of equal consecutive samples (or a whole trajectory): a few may be equal by chance."""
+"""Minimum number of equal consecutive samples (or a complete trajectory): a few may be equal by chance."""
 LEAST = 3
 """Number of samples of a trajectory that are compared."""
 

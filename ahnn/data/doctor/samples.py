@@ -69,7 +69,7 @@ def gaps(track: Track, column: str, gap: float) -> Iterator[Finding]:
 
 
 def constant(content: Content, names: tuple[str, ...]) -> Iterator[Finding]:
-    """Yield findings on columns constant in the whole file, which provide no information."""
+    """Yield findings on columns constant in the entire file, which provide no information."""
     values = np.concatenate([track.values for track in content.tracks])
     if len(values) < 3:
         return

@@ -41,7 +41,7 @@ class Covariance(NamedTuple):
     Attributes:
         time: seconds since the start of the ephemeris.
         matrix: (6, 6) covariance, in km and km/s.
-        frame: frame of its components, such as RTN; "" for that of the ephemeris.
+        frame: frame of its components, such as RTN; "": the frame of the ephemeris.
     """
 
     time: float
@@ -60,7 +60,7 @@ class Ephemeris(NamedTuple):
         states: (T, 6) positions in km and velocities in km/s.
         covariances: covariances of some of the states.
         rows: (T,) line numbers.
-        frame_epoch: epoch of a frame of date; "" for others.
+        frame_epoch: epoch of a frame of date; "" for all other frames.
     """
 
     object_id: str
@@ -173,7 +173,7 @@ def ephemeris(block: MessageBlock, note: Note = refuse) -> Ephemeris:
 
 
 def useable(block: MessageBlock, moments: list[int], note: Note, *, utc: bool) -> list[bool]:
-    """Return the mask of usable states: others, outside the useable span, only serve interpolation.
+    """Return the mask of usable states; states outside the useable span only serve interpolation.
 
     Raises:
         UserError: an invalid span, or one without states.

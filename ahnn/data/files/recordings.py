@@ -27,7 +27,7 @@ class Recordings(ABC):
         space: description of the state components.
         contents: contents of one kind: positions with momenta or velocities, or positions only.
         mass: factor m of p = m dq/dt; None if unspecified.
-        cut: number of samples of the segments into which trajectories are cut; None for no cutting.
+        cut: number of samples of the segments into which trajectories are cut; None: not cut.
         gap: multiple of the median step that counts as a gap, for samples not on a grid.
         unsound: whether to accept data rejected by `check`.
 
@@ -64,7 +64,7 @@ class Recordings(ABC):
         self._contents = contents
 
     def check(self) -> None:
-        """Raise UserError for data that would spoil a training, unless `unsound` is set."""
+        """Raise UserError for data that would spoil the training, unless `unsound` is set."""
         from ahnn.data.doctor import diagnosis
 
         found = [] if self.unsound else diagnosis(self._contents, self.mass, self.gap)

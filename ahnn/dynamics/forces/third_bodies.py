@@ -19,7 +19,7 @@ PARAMETERS |= {"moon": "GMB", "mars": "GM4", "jupiter": "GM5", "saturn": "GM6", 
 PARAMETERS |= {"neptune": "GM8", "pluto": "GM9"}
 """Constant of DE421 that has the gravitational parameter of each body, or of Earth and Moon together."""
 MARGIN = 2
-"""Nodes beyond the span that is asked for, before and after."""
+"""Nodes before and after the requested span."""
 
 
 @final
@@ -27,18 +27,18 @@ MARGIN = 2
 class ThirdBodies(Force):
     """The attraction by bodies of DE421, less that by which they move the centre (Montenbruck & Gill, 3.37).
 
-    m sum_j mu_j ((r_j - q) / |r_j - q|^3 - r_j / r_j^3), in the axes of ICRF. A body nearer than `own` to
-    one of them is that one: it does not pull itself, and the second part is what its own mass adds to the
-    motion about the centre.
+    m sum_j mu_j ((r_j - q) / |r_j - q|^3 - r_j / r_j^3), in the axes of ICRF. A body closer than `own` to one
+    of them is identified with it: it does not attract itself, and the second part is the contribution of its
+    own mass to the motion about the centre.
 
     Args:
         dof: 3.
         controls: not used.
         bodies: names in DE421, whose masses are taken, too; `earthmoon` is the barycentre of both.
-        center: name of the body at the origin, `sun` or `earth` among others.
+        center: name of the body at the origin, for example `sun` or `earth`.
         epoch: Julian date, TDB, of time zero.
-        span: first and last time at which the force is wanted.
-        spacing: between times at which places are tabulated; cubics connect them.
+        span: first and last time at which the force is defined.
+        spacing: time between tabulated positions, interpolated by cubics.
         day: units of time in a day.
         length: km in a unit of the positions.
         own: distance below which a body does not pull.

@@ -99,7 +99,7 @@ def given_noise(
         space: description of the state components.
         growth: factor (...) on the error at states (..., D); None for 1 everywhere.
         flow: process model.
-        known: covariance of its parameters, if available.
+        known: covariance of the parameters of `flow`, if available.
 
     Raises:
         UserError: the training did not save the least observable parameters.
@@ -156,8 +156,8 @@ def with_process_noise(
         plain: filter without process noise.
         case: evaluated case.
         setting: measurement settings and P0.
-        arcs: function that returns a number of whole validation trajectories for the choice of a scale.
-        rate: growth rate of a force error with the square of novelty - 1; None for no growth.
+        arcs: function that returns a number of full validation trajectories for the choice of a scale.
+        rate: growth rate of a force error with the square of novelty - 1; None: no growth.
 
     Raises:
         UserError: the model contains no representative training states.

@@ -41,7 +41,7 @@ DENSITIES, STONES, SMALL = (10.0, 1e5), 4500.0, 1e5
 MASS, OFFSET = 1e-4, 1e-6
 """Tolerance of C of degree 0, and of coefficients of degree 1: 11 m on the Earth."""
 CONVENTION: dict[Index, Coefficient] = {(0, 0): (1.0, 0.0), (1, 0): (0.0, 0.0), (1, 1): (0.0, 0.0)}
-"""Optional coefficients: the mass is that of mu, the origin the centre of mass."""
+"""Optional coefficients: mu is the constant of the entire mass, the origin is the centre of mass."""
 
 
 def read_gfc(path: Path | str, epoch: str | None = None) -> GravityField:

@@ -57,7 +57,7 @@ UNUSED = {
     **{f"c{k}": "descriptions of instruments" for k in range(1, 8)},
     "h5": "names of predictions",
 }
-"""Records that are not needed; those from 90 to 99 are station-specific."""
+"""Records that are not needed; 90 to 99 are station-specific."""
 SLACK = 120 * epochs.SECOND
 """Tolerance by which a normal point may lie outside the times of its session."""
 

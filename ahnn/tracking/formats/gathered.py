@@ -1,4 +1,4 @@
-"""Collection of single measurements from readers into the tracking data of one satellite."""
+"""Collection of individual measurements from readers into the tracking data of one satellite."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def gathered(
 
     Args:
         name: name of the satellite.
-        readings: readings in any order; time zero is that of the first.
+        readings: readings in any order; the first sets time zero.
         event: event tagged by their times.
         remarks: remarks on unused content of the file.
     """

@@ -106,7 +106,7 @@ def sinex_stations(text: str, file: str) -> StationCatalogue:
 
 
 def _estimate(blocks: _Blocks, line: str, place: Place) -> None:
-    """Read a line of SOLUTION/ESTIMATE; parameters other than those of stations are skipped."""
+    """Read a line of SOLUTION/ESTIMATE; parameters that do not belong to stations are skipped."""
     cells = line.split()
     if len(cells) < 2 or cells[1] not in UNIT:
         if len(cells) < 9 or not cells[0].isdigit():

@@ -163,7 +163,7 @@ def _participants(meta: dict[str, str], place: Place) -> tuple[str, str, int]:
 
 
 def _judge_ranges(link: TdmLink, meta: dict[str, str], place: Place) -> None:
-    """Mark unreadable ranges: ambiguous ones, those in station-specific units, and delayed ones."""
+    """Mark unreadable ranges: ambiguous, in station-specific units, or delayed."""
     if link.units not in ("km", "s"):
         link.blocked["RANGE"] = "RANGE_UNITS = km or s", repr(link.units)
     if _number(meta, "RANGE_MODULUS", place) != 0:

@@ -1,4 +1,4 @@
-"""Weights averaged over the steps of an epoch: single batches scatter about the optimum of all."""
+"""Weights averaged over the steps of an epoch: individual batches scatter about the optimum of all."""
 
 from __future__ import annotations
 

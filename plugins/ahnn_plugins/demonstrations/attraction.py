@@ -126,7 +126,7 @@ class Attraction:
 
 
 def distances(prediction: Tensor, case: Case) -> Tensor:
-    """Return the distance of predicted positions from those of the test, (B, T)."""
+    """Return the distances between predicted and true positions of the test set, (B, T)."""
     return (prediction - case.test.states)[..., : case.space.dof].norm(dim=-1)
 
 

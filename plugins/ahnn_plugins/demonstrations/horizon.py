@@ -48,7 +48,8 @@ class Horizon:
     """A learned flow compared with its known physics, an oblate planet, and two-body motion.
 
     Each predicts the test trajectories twice: from their first state, and from the start that fits noisy
-    positions of their first samples best. Where the learned flow has known forces, these alone are a row.
+    positions of their first samples best. If the learned flow contains known forces, a row shows these
+    without the learned part.
 
     Args:
         arc: samples that starts are fitted to.
@@ -57,8 +58,8 @@ class Horizon:
         period: over which errors are averaged, a day or a year in the unit of time of the data.
         unit: its name.
         beside: the oblate planet, if there is one.
-        mu: mu of two-body motion, or a list of one per body, whose trajectories alternate. None takes that
-            of the planet.
+        mu: mu of two-body motion, or a list of one per body, whose trajectories alternate. None: mu of the
+            planet.
     """
 
     def __init__(
@@ -134,7 +135,7 @@ class Horizon:
         return positions + self.noise * torch.randn(positions.shape, generator=draw, dtype=torch.float64)
 
     def by_period(self, states: Tensor, case: Case) -> Tensor:
-        """Return the rms error of position over all trajectories, for each whole period, (N,)."""
+        """Return the rms error of position over all trajectories, for each complete period, (N,)."""
         index = ((case.test.times[0] - case.test.times[0, 0]) / self.period).floor().long()
         error, count = off(states, case), int(index[-1]) + 1
         return torch.stack([error[:, index == k].square().mean().sqrt() for k in range(count)])
@@ -161,7 +162,7 @@ class Horizon:
 
 
 def predicted(flow: Flow, starts: Tensor, case: Case, samples: int) -> Tensor:
-    """Return what follows, (R, K, 6), from starts (R, 6), those of all B trajectories again and again."""
+    """Return predictions (R, K, 6) from starts (R, 6), which repeat the starts of all B trajectories."""
     turns = len(starts) // len(case.test.times)
     clock = case.test.clock(clock_of(flow))
     rows = torch.arange(len(case.test.times)).repeat(turns)
@@ -196,11 +197,11 @@ def fitted_start(flow: Flow, measured: Tensor, case: Case) -> Tensor:
 
 
 def off(states: Tensor, case: Case) -> Tensor:
-    """Return the distances of predicted positions from those of the test, (B, T)."""
+    """Return the distances between predicted and true positions of the test set, (B, T)."""
     return (states - case.test.states)[..., :3].norm(dim=-1)
 
 
 def periods_ahead(ahead: list[Ahead], label: str, other: str, start: str) -> int:
-    """Return in how many periods, from the first on, the flow of a label is nearer than another."""
+    """Return the number of first periods in which the flow of a label is more accurate than another flow."""
     own, theirs = (one for name in (label, other) for one in ahead if (one.name, one.start) == (name, start))
     return int((own.errors < theirs.errors).long().cumprod(0).sum())

@@ -68,7 +68,7 @@ class EnsembleKalmanFilter(SampleFilter):
     Attributes:
         ensemble: ensemble size N; greater than D without localisation.
         form: `square_root` or `stochastic`.
-        inflation: factor on the deviations before each update (Anderson & Anderson 1999); 1 for none.
+        inflation: factor on the deviations before each update (Anderson & Anderson 1999); 1: no inflation.
         localisation: taper of the covariances, or its attributes, or None.
         seed: seed of the random numbers.
         gate: gate for improbable measurement rows, or None.

@@ -41,7 +41,7 @@ def tally(found: list[Verdict]) -> Markup:
 
 
 def badge(answer: Answer) -> Markup:
-    """Return a verdict as a word with a sign, so that it does not depend on colour alone."""
+    """Return a verdict as a word with a sign, so that it does not depend only on colour."""
     sign = tag("span", SIGNS[answer], aria_hidden="true")
     return tag("span", sign, " ", answer, class_=f"badge {answer.replace(' ', '-')}")
 

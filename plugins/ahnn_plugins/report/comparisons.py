@@ -20,7 +20,7 @@ COLUMNS = [
     Measure("", quantity, start, with_filter)
     for with_filter, start, quantity in product((False, True), STARTS[:2], QUANTITIES[:2])
 ]
-"""Columns of the ablation; the model is that of each row."""
+"""Columns of the ablation; each row states its model."""
 
 
 class Order(NamedTuple):

@@ -89,7 +89,7 @@ def _stack(drawing: Drawing) -> Any:
 
 
 def _heading(panel: Panel, top: float) -> dict[str, Any]:
-    """Return the label of a vertical axis, placed above it, since narrow screens lack room beside it."""
+    """Return the label of a vertical axis, placed above it, since narrow screens lack room to its left."""
     place = {"xref": "paper", "yref": "paper", "x": 0, "y": top, "xanchor": "left", "yanchor": "bottom"}
     return {"text": html.escape(panel.y), "showarrow": False, "yshift": 2, **place}
 

@@ -116,7 +116,7 @@ def _best(board: Board, start: Start, quantity: str, with_filter: bool) -> str |
 
 
 def _cells(board: Board, measure: Measure, scale: float, doubts: list[str], *, is_best: bool) -> list[Cell]:
-    """Return the cells of our value, the paper's and the floor."""
+    """Return the cells of our value, the paper's value and the floor."""
     own, floor, said = board.sample(measure), board.floor(measure), board.printed(measure)
     return [
         Cell(mean_and_spread(own, scale), "best" if is_best else ""),

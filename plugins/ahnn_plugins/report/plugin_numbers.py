@@ -1,4 +1,4 @@
-"""Numbers of plugins: means with 95 % bands are tested, others are listed."""
+"""Numbers of plugins: means with 95 % bands are tested, all other numbers are listed."""
 
 from __future__ import annotations
 

@@ -57,11 +57,11 @@ class Ratio(NamedTuple):
     high: float = math.inf
 
     def within(self, low: float, high: float) -> bool:
-        """Return whether the whole interval lies in [low, high]."""
+        """Return whether the entire interval lies in [low, high]."""
         return low <= self.low and self.high <= high
 
     def beyond(self, low: float, high: float) -> bool:
-        """Return whether the whole interval lies outside [low, high]."""
+        """Return whether the entire interval lies outside [low, high]."""
         return self.high < low or high < self.low
 
 

@@ -1,6 +1,6 @@
 """Commands as forks of a process with common imports, equivalent to a fresh start.
 
-The server is that of `multiprocessing`; it forks while single-threaded (Windows has none: there each job
+The server belongs to `multiprocessing`; it forks while single-threaded (Windows has none: there each job
 starts afresh). It ignores signals that a scheduler
 sends to all processes, so that it lives until its jobs have ended and their exit codes are known.
 """

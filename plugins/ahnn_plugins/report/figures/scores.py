@@ -82,7 +82,7 @@ def _of_model(runs: list[Entry], start: str, quantity: Quantity, place: int, slo
 def _scores(
     runs: Sequence[Entry], start: str, quantity: Quantity, estimator: str | None, *, floor: bool
 ) -> tuple[float, ...]:
-    """Return the scores of the whole span, one per run that contains it."""
+    """Return the scores of the full span, one per run that contains it."""
     found = []
     for run in runs:
         for row in run.results.rows:
@@ -118,7 +118,7 @@ def _dots(label: str, dots: Sequence[Dot], role: Role, slot: int = 0) -> list[Se
 
 
 def _merged(series: Sequence[Series]) -> tuple[Series, ...]:
-    """Return series with those of floors, and of the paper, merged and placed last."""
+    """Return series, with the series of floors and of the paper merged and placed last."""
     found: dict[tuple[str, Role], Series] = {}
     for each in series:
         key = each.label, each.role
@@ -163,7 +163,7 @@ def _ablation(system: str, entries: Sequence[Entry], slots: dict[str, int]) -> D
 
 
 def _spread(panels: Iterable[Panel]) -> str:
-    """Return what the lines of dots show, if there are any."""
+    """Return the meaning of the lines of dots, if there are any."""
     several = any(series.low is not None for panel in panels for series in panel.series)
     return SPREAD if several else ""
 

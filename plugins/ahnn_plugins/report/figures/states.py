@@ -22,7 +22,7 @@ ROOM = 1.08
 def state_drawings(task: Task) -> list[Drawing]:
     """Plot filter estimates and errors, and prediction errors with their band.
 
-    The filter is that of AHNN5, as in the paper; without it, of the model whose filter is the best.
+    The filter belongs to AHNN5, as in the paper; without AHNN5, to the model whose filter is the best.
     """
     found = []
     run = _filtered(task)
