@@ -1,4 +1,4 @@
-"""What do storage, sweeper and pruner cost beside the trainings of a sweep?
+"""Overhead of storage, sweeper and pruner compared with the training runs of a sweep.
 
     python benchmarks/bench_sweep_overhead.py sweep=quick model=hnn [override ...]
 

@@ -1,10 +1,10 @@
-"""Time to the paper's AHNN5 accuracy: the laptop budget beside the plain way of training, in one run.
+"""Time to the paper's AHNN5 accuracy: the laptop budget compared with plain training, in one run.
 
     python benchmarks/bench_time_to_accuracy.py [cap]
 
-The plain way: one-step loss, AdamW at batch 256 from a per-sample DataLoader, gradient by autograd, float32,
+Plain training: one-step loss, AdamW at batch 256 from a per-sample DataLoader, gradient by autograd, float32,
 residuals in units of the state. Both learn the same structure from the same trajectories and are judged on
-25 validation trajectories, whose rollouts are not counted in the time. The plain way is stopped at `cap`
+25 validation trajectories, whose rollouts are not counted in the time. Plain training is stopped at `cap`
 times our time (default 12), so a time printed with ">" is a lower bound.
 """
 
@@ -34,7 +34,7 @@ TASKS = {
 }
 UNITS = {"spring, generic": "m", "orbit, separable": "km"}
 CHECKS = 24
-"""Rollouts of the plain way, spread evenly over its time."""
+"""Rollouts of plain training, spread evenly over its time."""
 STRIDE = 5
 """Steps of the laptop budget between two rollouts."""
 
@@ -56,7 +56,7 @@ class PlainField(torch.nn.Module):
 
 
 def position_error(flow, truth: torch.Tensor, dt: float, dof: int) -> float:
-    """Return the mean over trajectories of the rms position error of whole rollouts."""
+    """Return the mean over trajectories of the rms position error of full rollouts."""
     prediction = rollout(flow, truth[:, 0], dt, truth.shape[1])
     return float(rmse_norm(errors(prediction, truth)[..., :dof]))
 
@@ -87,7 +87,7 @@ def batches(data) -> Iterator[Window]:
 
 
 def plain(data, model, target: float, limit: float) -> float | None:
-    """Return the seconds of the plain way until the target is met, None beyond the limit."""
+    """Return the seconds of plain training until the target is met, None beyond the limit."""
     model = model.float()
     field, rk4, dt = PlainField(model.dynamics.field), INTEGRATORS["rk4"], data.statistics().dt
     states = data.trajectories("train").states
@@ -106,14 +106,14 @@ def plain(data, model, target: float, limit: float) -> float | None:
                 continue
             spent, due = spent + time.perf_counter() - begin, due + limit / CHECKS
             error = position_error(model.flow(), truth, dt, dof)
-            print(f"  plain way     {spent:7.1f} s  {error:.3g}", flush=True)
+            print(f"  plain training {spent:7.1f} s  {error:.3g}", flush=True)
             if error <= target or spent >= limit:
                 return spent if error <= target else None
             begin = time.perf_counter()
 
 
 def raced(cap: float) -> Iterator[tuple[str, float, float | None]]:
-    """Yield each task, our seconds, and those of the plain way or None beyond `cap` times ours."""
+    """Yield each task, our seconds, and the seconds of plain training or None beyond `cap` times ours."""
     for name, (overrides, target) in TASKS.items():
         print(f"{name}: position error {target} of the paper's AHNN5", flush=True)
         with initialize_config_dir(str(conf_dir()), version_base="1.3"):
@@ -129,13 +129,13 @@ def raced(cap: float) -> Iterator[tuple[str, float, float | None]]:
 
 
 def race(cap: float) -> str:
-    """Return the table of both tasks; where the plain way was stopped, its time is a lower bound."""
+    """Return the table of both tasks; where plain training was stopped, its time is a lower bound."""
     lines = []
     for name, fast, slow in raced(cap):
         times = shown(fast), f"> {shown(cap * fast)}" if slow is None else shown(slow)
         beside = f"< {shown(1 / cap)}" if slow is None else shown(fast / slow)
         lines.append([f"{name}, {TASKS[name][1]:g} {UNITS[name]}", *times, beside])
-    return markdown(("wall clock [s] to", "ahnn", "plain way", "ahnn / plain way"), lines)
+    return markdown(("wall clock [s] to", "ahnn", "plain training", "ahnn / plain training"), lines)
 
 
 def main() -> None:

@@ -2,7 +2,7 @@
 
 125 members, 13 sigma points, an update every 60th step, as in the paper, on one thread. Two flows, each
 through one Runge-Kutta step of order four: a 3x128 network (float32, the gradient of a Hamiltonian in closed
-form), and two bodies with J2, which filterpy gets in NumPy, point by point, as it asks for it.
+form), and two bodies with J2, which filterpy receives in NumPy, point by point, as it requires.
 
     python benchmarks/bench_ukf_kernel.py [--steps 240] [--repeats 5]
 """
@@ -158,7 +158,7 @@ def report(title: str, times: dict[str, list[float]]) -> None:
     print(title)
     for name, values in times.items():
         ratio = median(v / f for v, f in zip(values, times["flow only"], strict=True))
-        print(f"  {name:12s} {median(values) * 1e6:9.2f} us per filter-step  {ratio:8.3f} x flow only")
+        print(f"  {name:12s} {median(values) * 1e6:9.2f} us per filter-step  {ratio:8.3f} x flow")
     if "filterpy" in times:
         pairs = zip(times["filterpy"], times["square-root"], strict=True)
         print(f"  square-root is {median(a / b for a, b in pairs):.0f} times faster than filterpy")

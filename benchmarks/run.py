@@ -2,8 +2,8 @@
 
     python benchmarks/run.py [--only filter,rollouts] [--repeats 3]
 
-Peers come with the extra `bench`; one that is not installed is left out by name. With `--only`, other
-sections of the page stay as they are. Each section is of a script that can also be run by itself.
+Peers are in the extra `bench`; a peer that is not installed is reported and omitted. With `--only`, other
+sections of the page stay unchanged. The script of each section can also be run by itself.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from timing import left_out, settle, table
 from ahnn.cli.preflight import quiet
 
 CAP = 8.0
-"""Times our time after which the plain way to an accuracy is stopped."""
+"""Times our time after which plain training is stopped."""
 STEPS, WINDOWS = 150, 51200
 """Steps of a fit through Lightning, and windows of an epoch."""
 OPENING = """# Benchmarks
@@ -36,12 +36,12 @@ OPENING = """# Benchmarks
 `python benchmarks/run.py --only filter,rollouts --repeats 3` repeats some sections. Times are medians of CPU
 time unless stated; ratios are medians over the repeats, below 1 where ahnn is faster.
 
-![Time of ahnn over that of each peer](benchmarks.png)
+![Time of ahnn relative to each peer](benchmarks.png)
 """
 
 
 class Section(NamedTuple):
-    """A section of the page: its heading, what it says before its table, and how it is measured."""
+    """A section of the page: its heading, the text before its table, and its measurement."""
 
     title: str
     about: str
@@ -59,16 +59,17 @@ of the network's multiply-adds as matrix products of torch.
 
 - **autograd.grad**: plain PyTorch, the field as `autograd.grad` of the energy.
 - **torchdiffeq**: the same field through `odeint(method="rk4")`, its 3/8 rule.
-- **JAX**: Equinox and Optax, the whole step jitted; without compilation.
+- **JAX**: Equinox and Optax, the entire step jitted; without compilation.
 
-ahnn has a fused optimiser and steps in C, as in any training; PyTorch peers have the default optimiser.""",
+ahnn uses its fused optimiser and steps compiled from C, as in every training run; the other PyTorch programs
+use the default optimiser.""",
         lambda repeats: table([*works.training(repeats)], "one step [ms]"),
         15,
         {peer: works.NEEDS[peer] for peer in ("torchdiffeq", "JAX")},
     ),
     "rollouts": Section(
         "Rollouts",
-        """The same network and steps with all states kept, as in `run.rollout`. JAX jits the whole
+        """The same network and steps with all states kept, as in `run.rollout`. JAX jits the entire
 rollout; diffrax takes constant steps with the classical tableau.""",
         lambda repeats: table([*works.rollouts(repeats)], "1,440 steps [ms]"),
         7,
@@ -77,9 +78,9 @@ rollout; diffrax takes constant steps with the classical tableau.""",
     "filter": Section(
         "The filter",
         """Two bodies with J2, a position after every step, float64. `ahnn` is the filter with the compiled
-flow of `system=molniya`, 17 stages of order eight. The others take one Runge-Kutta step: `torch` is the
-same filter with a flow in torch, `compiled` that through `torch.compile`; dynamax and cuthbert are
-jitted. The floor is the compiled flow on all sigma points. filterpy has one member.""",
+flow of `system=molniya`, 17 stages of order eight. All other programs take one Runge-Kutta step: `torch` is
+our filter with a flow in torch, `compiled` is `torch` through `torch.compile`; dynamax and cuthbert are
+jitted. The floor is the compiled flow on all sigma points. filterpy runs one member.""",
         lambda repeats: filter_works.table([*filter_works.filters(repeats)]),
         7,
         filter_works.NEEDS,
@@ -95,8 +96,8 @@ Errors of positions are relative to heyoka at tolerance 1e-18.""",
     ),
     "second_order": Section(
         "Levenberg-Marquardt",
-        """A step in float64. The floor is its matrix products; optimistix takes a jitted step on as many
-residuals of the same network. Times on two cores are wall clock and need an idle machine.""",
+        """A step in float64. The floor is its matrix products; optimistix takes a jitted step on the same
+number of residuals of the same network. Times on two cores are wall clock and need an idle machine.""",
         bench_second_order.steps,
         3,
         bench_second_order.NEEDS,
@@ -104,16 +105,16 @@ residuals of the same network. Times on two cores are wall clock and need an idl
     "lightning": Section(
         "Through Lightning",
         f"""A fit of {STEPS} steps with the default callbacks and TensorBoard, networks of three layers of
-128, batches of 256. `barebones` is Lightning's trainer without callbacks, logger and checkpoints. The
-bare loop has the same batches and the optimiser of ahnn; plain AdamW has torch's defaults.""",
+128, batches of 256. `barebones` is Lightning's trainer without callbacks, logger and checkpoints. The bare
+loop uses the same batches and the optimiser of ahnn; plain AdamW uses torch's defaults.""",
         lambda repeats: table([*bench_training_step.measured(STEPS, repeats)], "one step [ms]"),
         3,
         {},
     ),
     "epoch": Section(
         "One epoch end to end",
-        f"""{WINDOWS:,} windows of the spring in batches of 256, trajectories in memory. ahnn is the whole fit
-with a validation of 256 windows, logger and checkpoint. The plain loop has a per-sample DataLoader, the
+        f"""{WINDOWS:,} windows of the spring in batches of 256, trajectories in memory. ahnn is the complete
+fit with a validation of 256 windows, logger and checkpoint. The plain loop uses a per-sample DataLoader, the
 field as `autograd.grad` of the same network, and AdamW with its defaults.""",
         lambda repeats: table([*bench_epoch.measured(WINDOWS, repeats)], "one epoch [s]", 1.0),
         3,
@@ -122,7 +123,7 @@ field as `autograd.grad` of the same network, and AdamW with its defaults.""",
     "accuracy": Section(
         "Time to a given accuracy",
         f"""Wall clock until rollouts of 25 validation trajectories reach the paper's AHNN5: the default
-recipe, and the plain way (one-step loss, AdamW at batch 256 from a per-sample DataLoader, autograd),
+recipe, and plain training (one-step loss, AdamW at batch 256 from a per-sample DataLoader, autograd),
 stopped at {CAP:g} times our time.""",
         lambda _: bench_time_to_accuracy.race(CAP),
         1,
@@ -130,7 +131,7 @@ stopped at {CAP:g} times our time.""",
     ),
     "startup": Section(
         "Start-up",
-        """Whole processes that end after their first optimiser step, with trajectories and compiled parts
+        """Complete processes that end after their first optimiser step, with trajectories and compiled parts
 cached. Peers take one step of AdamW on random numbers, without configuration or data.""",
         bench_startup.startup,
         5,
@@ -140,7 +141,7 @@ cached. Peers take one step of AdamW on random numbers, without configuration or
 
 
 def text(section: Section, repeats: int) -> str:
-    """Measure a section, and return its text, which ends with what measured."""
+    """Measure a section, and return its text, which ends with the machine."""
     os.environ["OMP_NUM_THREADS"] = "1"  # a section before may have left two
     absent, load = left_out(section.needs), os.getloadavg()[0]
     found = section.measure(repeats)
@@ -152,7 +153,7 @@ def text(section: Section, repeats: int) -> str:
 
 
 def chosen() -> argparse.Namespace:
-    """Return what the command line asks for."""
+    """Return the options of the command line."""
     parser = argparse.ArgumentParser(description="Measure ahnn and its peers; write docs/benchmarks.md.")
     parser.add_argument("--only", default=",".join(SECTIONS), help="sections, by comma: %(default)s")
     parser.add_argument("--repeats", type=int, help="of each section; by default what suits it")

@@ -1,7 +1,7 @@
-"""Position fixes of a Molniya satellite as they come in: noise, a gap, outliers, missing numbers, late lines.
+"""Position fixes of a Molniya satellite in order of arrival, with noise, a gap, outliers and late lines.
 
-The truth is the exact flow of the simulated system, 12 hours from perigee, a fix each 20 s on average, noise
-0.1 km, from the seed 0.
+The truth is the exact flow of the simulated system, 12 hours from perigee, a fix every 20 s on average, noise
+0.1 km, seed 0.
 
     python benchmarks/simulate_fixes.py FILE
 """
