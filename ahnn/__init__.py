@@ -9,7 +9,7 @@
     space = ahnn.Space("cart", ("q", "p"))
     run = ahnn.fit(data, space, ["model=hnn"], folder="runs/cart")
 
-    # a torch module, for a loop of your own
+    # a torch module, for your own training loop
     model = ahnn.Hamiltonian(dof=1, hidden=64, data=data)
     run = ahnn.save(model, space, dt=0.1, folder="runs/mine")
 

@@ -33,7 +33,7 @@ def fit(
         trajectories: states (B, T, 2n) and times (B, T) or (T,), NaN marks missing samples; positions (B, T,
             n) where momenta are unknown.
         space: names, units and inertia of the state components.
-        overrides: as on the command line, such as "model=hnn", "window=3", "trainer.max_epochs=50".
+        overrides: overrides as on the command line, such as "model=hnn", "window=3", "trainer.max_epochs=50".
         folder: new folder of the run.
 
     Raises:

@@ -106,8 +106,8 @@ class Citations(NamedTuple):
     """Papers to cite, each with the methods that it describes. Printing shows them as text.
 
     Attributes:
-        methods: by key of a paper.
-        papers: in alphabetical order of their keys.
+        methods: methods by key of a paper.
+        papers: papers in alphabetical order of their keys.
     """
 
     methods: dict[str, list[str]]
@@ -152,7 +152,7 @@ def methods(dynamics: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]
 
     Args:
         dynamics: description of the dynamics, as in their weights.
-        config: of the training; empty for dynamics that were trained elsewhere.
+        config: configuration of the training; empty for dynamics trained elsewhere.
     """
     return ["ahnn", *_of_dynamics(dynamics), *_of_training(dynamics, config), *_of_plugins(config)]
 

@@ -131,7 +131,7 @@ class Run:
         start_time: float = 0.0,
         controls: Numbers | None = None,
     ) -> Tensor:
-        """Return predicted trajectories, shape (B, steps + 1, 2n), start included.
+        """Return predicted trajectories, shape (B, steps + 1, 2n), including the start.
 
         Gradients flow to the start, the steps and the parameters that require them.
 

@@ -83,7 +83,7 @@ class Space(NamedTuple):
     Attributes:
         name: name of the system, in folders and tables.
         components: names of the 2n state components, positions first.
-        units: of time, position, velocity and energy.
+        units: units of time, position, velocity and energy.
         inertia: the factor m of p = m dq/dt, or one for each coordinate; momenta divided by it are
             velocities.
         frame: reference frame of the positions, such as `EME2000, EARTH`; "" if unspecified.

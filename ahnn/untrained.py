@@ -1,4 +1,4 @@
-"""Learnable dynamics in one call, as torch modules for a training loop of your own.
+"""Learnable dynamics in one call, as torch modules for your own training loop.
 
     model = ahnn.Hamiltonian(dof=2, hidden=64, data=trajectories)
     optimizer = torch.optim.AdamW(model.parameters())

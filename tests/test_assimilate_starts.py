@@ -230,6 +230,6 @@ def test_a_key_that_changed_beside_a_saved_state_is_named(key, capsys):
     assert assimilate(*command) == 0
     before = Path("out.csv").read_bytes()
     assert assimilate(*command, *CHANGES[key]) == 2
-    assert f"{key}: expected the value stored in a.state; received another" in capsys.readouterr().err
+    assert f"{key}: expected the value stored in a.state; received a different" in capsys.readouterr().err
     assert Path("out.csv").read_bytes() == before
     assert assimilate(*command) == 0

@@ -108,7 +108,7 @@ MISTAKES = {
     "model.window=7": "unknown key 'model.window'; did you mean 'window'?",
     "data.window=3": "unknown key 'data.window'; did you mean 'window'?",
     "loss.order=2000 loss.derivative=1": "loss.order: expected windows of 1 to 60 steps",
-    "system=quartic": "toda. For options of your own add --config-dir FOLDER",
+    "system=quartic": "toda. For your own options add --config-dir FOLDER",
     "model=mechanical": "model: unknown option 'mechanical'; it is an option of hamiltonian: ham",
     "system=pendulum system=duffing": "system: expected one option; received system=pendulum and",
     "trainer.accelerator=gpu": "trainer.accelerator: expected a GPU; received none. Use trainer.accel",

@@ -35,11 +35,11 @@ class Rows:
 
     Args:
         components: names of the components of the state.
-        sensors: by name.
+        sensors: sensors by name.
         kind: csv or json, or of many objects parquet.
         said: units and frame, written to a sidecar; None: no sidecar.
         scales: (D,) divisors of the written components; None: no division.
-        modes: of interacting models, whose probabilities are columns.
+        modes: number of modes of interacting models, whose probabilities are columns.
         lag: whether to write columns of smoothed estimates.
         clock: interpretation of times; with an epoch of time zero there is a column of epochs.
     """

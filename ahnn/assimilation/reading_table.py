@@ -56,7 +56,7 @@ class CatalogueEstimates(NamedTuple):
         nis: (K,) normalised innovation squared.
         measured: (K,) number of measured values.
         replayed: (K,) number of later readings that were replayed.
-        reasons: by reading index, the reason for a lost object or an invalid measurement.
+        reasons: reason for each lost object or invalid measurement, by reading index.
     """
 
     fates: NDArray[np.int8]

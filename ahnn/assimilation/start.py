@@ -122,7 +122,7 @@ def dated(text: str, clock: StreamClock) -> float:
     """
     if clock.zero is None:
         message = (
-            f"time: expected a date together with epoch= of time zero; received {text} alone. Add epoch="
+            f"time: expected a date together with epoch= of time zero; received {text} without it. Add epoch="
         )
         raise UserError(message)
     try:

@@ -164,7 +164,8 @@ class StreamSession:
         fraction = refused / (refused + opened + self.counts["taken"])
         if not opened and fraction < MANY:
             return ""
-        times = f", and reopened {opened:,} times after too many in a row" if opened else ""
+        count = "once" if opened == 1 else f"{opened:,} times"
+        times = f", and reopened {count} after too many consecutive rejections" if opened else ""
         return f"; the gate rejected {100 * fraction:.2g} % of the measurements{times}"
 
     def close(self) -> None:

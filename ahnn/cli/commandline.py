@@ -279,7 +279,7 @@ def check_potential(cfg: DictConfig, overrides: Iterable[str]) -> None:
 
 
 def nearest_key(wrong: str, known: Iterable[str]) -> str:
-    """Return a hint with the dotted key that is closest to a wrong key, as a whole or in its last part.
+    """Return a hint with the dotted key that is closest to a wrong key, in full or in its last part.
 
     Without a close match the hint lists only the top level, since all keys fill several pages.
     """

@@ -18,7 +18,7 @@ def with_gate(
     """Return an estimator with a gate that reopens; one without a gate is returned unchanged.
 
     Args:
-        estimator: of the plugin, with a gate where that is configured.
+        estimator: estimator of the plugin, with a gate if configured.
         plugin: plugin that sets the number of rejections after which the gate reopens.
         asked: gate of the stream; None: the gate of the estimator, or the default.
 

@@ -94,7 +94,7 @@ class Reference(NamedTuple):
         return keys.filled(self)
 
     def since(self, text: str | None) -> Reference:
-        """Set the epoch given by a user; None leaves it unchanged.
+        """Set the epoch given by a user; None: unchanged.
 
         Raises:
             UserError: invalid epoch.
@@ -123,7 +123,7 @@ class Reference(NamedTuple):
             who: description of the data, for messages.
 
         Raises:
-            UserError: another centre, or a frame that cannot be transformed to the model's.
+            UserError: another centre, or a frame that cannot be transformed to the frame of the model.
         """
         body = ours.center or BODY
         if self.center and alias(self.center) != alias(body):

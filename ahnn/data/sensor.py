@@ -42,7 +42,7 @@ class Sensor:
         every: number of trajectory samples between measurements.
         stride: maximum number of trajectory samples per integrator step; each step ends at a measurement.
         gaps: fraction of randomly missing measurements.
-        outliers: fraction of measured values that are off by 50 standard deviations.
+        outliers: fraction of measured values with an error of 50 standard deviations.
         bias_sd: standard deviations of constant biases, in the format of `Biases.of`. The biases are drawn
             from these and estimated in training. None: no biases.
         correlation: whether the training estimates how noise correlates in time.

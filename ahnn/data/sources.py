@@ -108,9 +108,9 @@ class Given(Recordings):
         trajectories: states (B, T, 2n) and times (B, T) or (T,), NaN where a sample is missing; momenta that
             are all NaN, or omitted, are unknown. Controls (B, T, m) of a space that names them.
         space: description of the state components.
-        cut: as in `Recordings`.
-        gap: as in `Recordings`.
-        unsound: as in `Recordings`.
+        cut: see `Recordings`.
+        gap: see `Recordings`.
+        unsound: see `Recordings`.
 
     Raises:
         UserError: an invalid space, incompatible shapes, infinite numbers, or times that do not increase.

@@ -46,9 +46,9 @@ def divide_units(network: Network, inputs: Iterable[InputMap], statistics: Stati
     """Divide the units of a perceptron of one output among the levels of coordinates, if there are several.
 
     Args:
-        network: with fresh weights, which are scaled.
+        network: network with fresh weights, which are scaled.
         inputs: maps whose concatenated outputs are the inputs of the network.
-        statistics: of the training split.
+        statistics: statistics of the training split.
     """
     entering = levels(coordinate_energies(statistics))
     tops = entering.unique().flip(0)

@@ -66,7 +66,7 @@ def own_jacobians(
 
     Args:
         dynamics: dynamics with the parameters to use.
-        dtype: of the Jacobians.
+        dtype: type of the Jacobians.
     """
     return partial(jacobians_of_steps(dynamics, dtype), parameters_to_vector(dynamics.parameters()).detach())
 

@@ -28,7 +28,7 @@ def conditioned(
 
     Args:
         prior: (B, D) prior mean.
-        joint: (B, M + D, M + D) lower factor of the covariance of measurement, noise included, and state:
+        joint: (B, M + D, M + D) lower factor of the covariance of measurement (with noise) and state:
             [[chol_y, 0], [cross, chol]]. A missing component has variance one and no correlation.
         innovation: (B, M), zero where the component is missing.
         y: (B, M), NaN where missing.

@@ -43,10 +43,10 @@ def reopened(
     """Return the states given a row each, from beliefs widened until the row is not surprising.
 
     Args:
-        estimator: with its gate.
+        estimator: estimator with its gate.
         before: state of B members before the rows.
         y: (B, M) rows, NaN where a component is missing.
-        model: of the rows.
+        model: measurement model of the rows.
         noise: R.
         spread: (B, d, d) factors of the covariances of the first d components at the start.
 

@@ -33,7 +33,7 @@ class Band(NamedTuple):
     Attributes:
         deviations: (B, T, D) standard deviations.
         coverage: fractions of components of unseen states within 1, 2 and 3 standard deviations.
-        test: of their width, along the independent directions of the errors.
+        test: test of their width along the independent directions of the errors.
         expected: expected rms norms of position and velocity errors.
         bound: expected errors from noise only: the Cramer-Rao bound of the regularised parameters.
         efficiency: rms norms of the errors in units of that bound.
@@ -52,9 +52,8 @@ class Band(NamedTuple):
         """Return the finding as a note under the table."""
         return (
             f"bands of 1, 2 and 3 standard deviations contain {percent(self.coverage)} % of unseen states "
-            f"({self.test.sentence()}); "
-            f"the error is {self.efficiency[0]:.2f} (position) and {self.efficiency[1]:.2f} "
-            f"({quantity(space, 'velocity')[0]}) times the noise bound"
+            f"({self.test.sentence()}); the error is {self.efficiency[0]:.2f} (position) and "
+            f"{self.efficiency[1]:.2f} ({quantity(space, 'velocity')[0]}) times the noise bound"
         )
 
     def verdict(self) -> str:

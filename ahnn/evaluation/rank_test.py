@@ -40,7 +40,7 @@ def ranks(scores: Sequence[Score]) -> dict[str, list[float]]:
 
 
 def uniformity(values: Sequence[float]) -> float:
-    """Return the probability of sorted ranks as far from uniform or farther, by Kolmogorov and Smirnov."""
+    """Return the p-value of sorted ranks by the Kolmogorov-Smirnov test of uniformity."""
     from scipy.stats import kstest
 
     return float(kstest(values, "uniform").pvalue)

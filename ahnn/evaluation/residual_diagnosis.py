@@ -22,7 +22,7 @@ are uncorrelated, for example a quarter of a period apart.
 COLOURED, BIASED = 0.15, 0.2
 """Minimum reported neighbour correlation, and constant offset in standard deviations."""
 OFF = 1.4
-"""Minimum reported factor between data.noise and the actual noise: bands are off by the same factor."""
+"""Minimum reported factor between data.noise and the actual noise: bands are wrong by the same factor."""
 FEW = 1e-3
 """Minimum reported fraction of outliers; for normal values it is 6e-5."""
 

@@ -23,7 +23,7 @@ def verdict(
     """Return the findings that decide whether a model is of use.
 
     Args:
-        worth: of its prediction.
+        worth: value of its prediction.
         faults: findings that need a remedy, the most severe first.
         others: findings on its standard deviations, and of plugins.
         noisy: whether the error includes the noise of measurements, which is no fault of the model.

@@ -88,9 +88,9 @@ def fitted_start(
 
     Args:
         run: a trained model.
-        sensors: of the stream.
-        file: of the measurements.
-        clock: of their times.
+        sensors: sensors of the stream.
+        file: path of the measurements.
+        clock: interpretation of their times.
         wanted: number of measurements, or fraction below 1; None for `TAKEN`.
 
     Raises:
@@ -248,8 +248,8 @@ def covariance_of(run: Run, best: BestFit, bias_sd: Tensor) -> Tensor:
     if not bool((scale > 0).all()) or values[-1] < UNSEEN * values[0]:
         message = (
             f"start: expected measurements that determine {len(scale)} components; received "
-            f"{int(segment.measured)} numbers, which leave some undetermined. Fit more, fitted=N, or "
-            f"give start="
+            f"{int(segment.measured)} numbers, which leave some undetermined. Fit more, fitted=N, or give "
+            "start="
         )
         raise UserError(message)
     count = sum(parameter.numel() for parameter in run.dynamics.parameters())

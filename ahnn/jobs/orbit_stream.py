@@ -185,7 +185,7 @@ def given_start(asked: AssimilationRequest, orbit: OrbitFollowing) -> tuple[Prep
     """Return the problem with a given start, the belief there, and all measurements.
 
     Raises:
-        UserError: no start with its covariance, or an unknown of which nothing is known.
+        UserError: no start with its covariance, or an unknown without prior.
     """
     setup = orbit.setup
     if orbit.other is not None:

@@ -58,7 +58,7 @@ class PlannedSensor(NamedTuple):
     """A sensor that can measure.
 
     Attributes:
-        name: of the station, or `fix`.
+        name: name of the station, or `fix`.
         model: (x (D,), t) -> its M values.
         deviations, bias_sd: (M,) standard deviations of their noise and of their constant biases.
         joined: whether measurements without a gap belong to one session, a pass.
@@ -75,7 +75,7 @@ class Candidate(NamedTuple):
     """Measurements that are chosen together.
 
     Attributes:
-        name: of the instrument.
+        name: name of the instrument.
         samples: (K,) indices of their times.
         rows: (K M, R) derivative by the unknowns, over the standard deviations.
     """

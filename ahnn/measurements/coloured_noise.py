@@ -32,7 +32,7 @@ class Whitening(NamedTuple):
 
     Attributes:
         kept: fraction of the coloured part that is left from the time before.
-        gain: of the filter, 0 where nothing was measured.
+        gain: gain of the filter, 0 where nothing was measured.
         scale: 1 over the standard deviation of an innovation, 0 where nothing was measured.
     """
 

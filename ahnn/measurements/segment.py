@@ -24,7 +24,7 @@ class Instrument(NamedTuple):
         width: number of samples on either side within which the motion is cubic up to the noise.
         bias: (M,) offset of readings from the truth; None for zeros.
         bias_sd: (M,) standard deviations of the offset, 0 if known; None for zeros.
-        colour: of the noise; None for white noise.
+        colour: correlation of the noise; None for white noise.
     """
 
     measurement: Measurement

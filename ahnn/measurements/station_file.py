@@ -95,9 +95,9 @@ class BiasedStation(Differing):
     """A station of a file with its known biases; it measures the kinds that have a noise.
 
     Args:
-        entry: of the file.
-        earth_angle: as of `GroundStation`.
-        mass: of the satellite in kg.
+        entry: entry of the file.
+        earth_angle: see `GroundStation`.
+        mass: mass of the satellite in kg.
         who: prefix of messages.
 
     Raises:
@@ -154,12 +154,12 @@ class StationsOfFile(Several):
 
     Args:
         file: path of the stations, see `ahnn.measurements.station_file`.
-        earth_angle: as of `GroundStation`.
-        mass: of the satellite in kg.
+        earth_angle: see `GroundStation`.
+        mass: mass of the satellite in kg.
         only: names of those that count; None for all.
 
     Attributes:
-        stations: by name.
+        stations: stations by name.
         deviations: standard deviations of all numbers.
         bias_sd: standard deviations of their biases, 0: no bias.
 

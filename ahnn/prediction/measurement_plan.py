@@ -34,10 +34,10 @@ class MeasurementPlan(NamedTuple):
 
 @torch.no_grad()
 def plan_measurements(candidates: Sequence[Tensor], forecast: Tensor, count: int) -> MeasurementPlan:
-    """Choose measurements of which no single one can be exchanged for a better one, best first.
+    """Choose measurements until no exchange of one of them improves the plan; best first.
 
     Args:
-        candidates: of each, the derivative (K, R) of its K measurements by the unknowns, over their standard
+        candidates: for each, the derivative (K, R) of its K measurements by the unknowns, over their standard
             deviations.
         forecast: (G, R) derivative of the predicted values.
         count: number to choose, at most all.

@@ -110,7 +110,7 @@ def prediction_factors(
         known: uncertainty information, of the start at least.
 
     Raises:
-        UserError: the same errors as `predicted`.
+        UserError: the errors of `predicted`.
     """
     require_times(times)
     require_finite(start)

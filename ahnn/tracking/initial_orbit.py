@@ -44,7 +44,7 @@ def gauss(sites: Array, directions: Array, times: Array) -> list[Array]:
     """Return states (6,) at the second of three directions, of each solution (Curtis 2014, algorithm 5.5).
 
     Args:
-        sites: of the observers, (3, 3).
+        sites: positions of the observers, (3, 3).
         directions: unit vectors from them to the satellite, (3, 3).
         times: (3,).
     """

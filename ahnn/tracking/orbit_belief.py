@@ -19,7 +19,7 @@ class OrbitBelief(NamedTuple):
     """A normal belief about position, velocity and the other unknowns that are estimated.
 
     Attributes:
-        names: of the F components.
+        names: names of the F components.
         mean: (F,).
         covariance: (F, F).
         time: time of the belief, seconds after the epoch.

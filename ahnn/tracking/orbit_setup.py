@@ -70,7 +70,7 @@ class DragChoice(SurfaceForce):
 
     Attributes:
         atmosphere: exponential layers, or Harris-Priester with the bulge of the day.
-        exponent: of Harris-Priester's bulge, from 2 for low inclinations to 6 for polar orbits.
+        exponent: exponent of Harris-Priester's bulge, from 2 for low inclinations to 6 for polar orbits.
     """
 
     atmosphere: Literal["exponential", "harris_priester"] = "exponential"

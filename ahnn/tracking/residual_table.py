@@ -32,11 +32,11 @@ class ResidualRow(NamedTuple):
 
     Attributes:
         station, kind: their names.
-        number: of measurements.
-        mean, sd: of the residuals.
+        number: number of measurements.
+        mean, sd: moments of the residuals.
         trend: per second, with its standard error.
-        correlation: of neighbours.
-        noise: of the fit.
+        correlation: correlation of neighbours.
+        noise: noise in the fit.
         bias: estimated, with its standard deviation; NaN where none is.
         given: the bias that was known before the fit.
     """

@@ -27,9 +27,9 @@ class SatelliteFlow:
     """The flow of forces; it depends on time.
 
     Args:
-        forces: on the satellite.
+        forces: forces on the satellite.
         known: values of all their parameters, (P,).
-        free: which of them are components of the state, (P,) bool; all other parameters keep their value.
+        free: mask of the parameters in the state, (P,) bool; all other parameters keep their value.
     """
 
     clock = 1
@@ -56,8 +56,8 @@ class SatelliteStep(NamedTuple):
     """The flow of forces from an instant.
 
     Attributes:
-        flow: of the forces.
-        time: of the instant, seconds after the epoch.
+        flow: flow of the forces.
+        time: time of the instant, seconds after the epoch.
     """
 
     flow: SatelliteFlow

@@ -29,7 +29,7 @@ class NearbyStates(NamedTuple):
     """States around their own time, one for each row of the measurements.
 
     Attributes:
-        time: of the states.
+        time: time of the states.
         at: (B, 6) km and km/s.
     """
 
@@ -47,11 +47,11 @@ class StationMeasurement(Differing):
     """Measurements of states [position, velocity, ...], shape (..., D), by one station.
 
     Args:
-        model: of all measurements, whose weather and wavelength at the station count, those nearest in time.
+        model: model of all measurements; the nearest weather and wavelength at the station are used.
         station: its place among the stations of the model.
         kinds: measured kinds.
-        biases: for each of them the component of the state that is added to it; None where it has no bias.
-        known: for each of them a bias that is known.
+        biases: for each measurement, the state component that is added to it; None without bias.
+        known: known bias of each measurement.
     """
 
     def __init__(

@@ -46,8 +46,8 @@ class Turned(NamedTuple):
     """The Earth, turned further.
 
     Attributes:
-        rotation: that is turned.
-        seconds: of UT1.
+        rotation: rotation to turn.
+        seconds: change of UT1 in s.
     """
 
     rotation: EarthRotation
@@ -66,9 +66,9 @@ def suspected_mistakes(
     """Return sentences on suspected mistakes; none if residuals are noise.
 
     Args:
-        problem: that was fitted.
+        problem: fitted problem.
         point: its solution; None where there is none.
-        rotation: of the Earth, as the problem has it.
+        rotation: rotation of the Earth in the problem.
     """
     found = [] if point is None else turn_of(problem, point, rotation)
     if found or (point is not None and size_of(problem, point) < WIDE):
@@ -113,7 +113,7 @@ def held_against(problem: OrbitProblem, point: LinearisedOrbit) -> LinearisedOrb
 
 
 def undone(problem: OrbitProblem) -> Iterator[tuple[str, OrbitProblem]]:
-    """Yield problems in each of which one mistake is undone, and its words."""
+    """Yield problems in which one mistake is undone, each with its description."""
     model, data = problem.model, problem.model.data
     angles = np.array([kind not in ("range", "range_rate") for kind in KINDS])
     if np.isfinite(data.values[problem.used][:, angles]).any():

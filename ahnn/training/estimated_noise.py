@@ -93,7 +93,7 @@ def estimated(
 
     Args:
         dynamics: float64 dynamics fitted to all measurements.
-        train: with the stated white noise.
+        train: training segments with the stated white noise.
         robust: the loss of the fit.
         determined: number of parameters that the measurements determine, which made residuals smaller.
         unknown: noise parameters to be estimated.

@@ -27,7 +27,7 @@ from ahnn.training.shooting import ShootingProblem
 class WideProblem(ShootingProblem):
     """Shooting problem with float64 normal equations, which preserve poorly determined directions.
 
-    Unknown biases of the sensor are eliminated from them; `shared` has these once equations are found.
+    Unknown biases of the sensor are eliminated from them; `shared` contains these once equations are found.
     """
 
     precision = torch.float64

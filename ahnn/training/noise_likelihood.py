@@ -31,7 +31,7 @@ STEEP = 12.0
 ENOUGH = 0.05
 """Twice the log likelihood that is not worth another step."""
 RIDGE = 1e-12
-"""Added to correlations of the unknowns of a start, of which some may not be seen."""
+"""Added to correlations of the unknowns of a start, some of which may be unobservable."""
 
 
 class Residuals(NamedTuple):
@@ -41,7 +41,7 @@ class Residuals(NamedTuple):
         rows: (B, T, M).
         of_start: their derivatives with respect to the starts, (B, T, M, D).
         times: (B, T).
-        there: which numbers were measured, (B, T, M) bool.
+        there: mask of the measured numbers, (B, T, M) bool.
     """
 
     rows: Tensor
@@ -100,7 +100,7 @@ def most_likely(left: Residuals, *, sizes: bool, correlation: bool) -> FoundNois
     def searched(
         begin: list[float], limits: list[tuple[float, float]], coloured: bool
     ) -> tuple[float, Tensor]:
-        from scipy.optimize import minimize  # a fifth of a second, saved in other training runs
+        from scipy.optimize import minimize  # takes a fifth of a second, only when needed
 
         def value(found: np.ndarray) -> tuple[float, np.ndarray]:
             at = torch.tensor(found, requires_grad=True)

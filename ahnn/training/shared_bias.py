@@ -22,9 +22,9 @@ class SharedBias(NamedTuple):
     """K biases, linearised.
 
     Attributes:
-        places: which of the M numbers have one, (K,).
+        places: indices of the numbers with a bias, (K,).
         value: b, (K,), in the units of the measurements.
-        precision: of the prior, (K,), about zero.
+        precision: precision of the prior about zero, (K,).
         matrix: S, (K, K).
         coupling: C, (P, K), of P parameters.
     """

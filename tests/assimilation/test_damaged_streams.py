@@ -106,7 +106,7 @@ def test_an_output_that_is_gone_is_not_begun_in_the_middle(names):
 
 
 def test_rows_of_another_kind_do_not_follow(names):
-    refused(names, "format: expected the value stored in .*; received another", kind="json")
+    refused(names, "format: expected the value stored in .*; received a different", kind="json")
 
 
 def test_an_empty_reading_leaves_the_consistency_known(tmp_path):

@@ -53,7 +53,7 @@ class Ephemeris(NamedTuple):
     """One segment of an orbit ephemeris message.
 
     Attributes:
-        object_id, object_name: of the satellite, such as 2009-012A.
+        object_id, object_name: identifiers of the satellite, such as 2009-012A.
         center, frame, time_system: such as EARTH, EME2000 and UTC.
         start: epoch in picoseconds (`epochs.instant`).
         times: (T,) seconds since the start.

@@ -94,7 +94,7 @@ def filled(track: Track, gap: float, *, linear: bool = False) -> Track:
     Controls continue through a gap, held or interpolated linearly.
 
     Raises:
-        UserError: a gap so long that it separates two trajectories.
+        UserError: a gap long enough to separate two trajectories.
     """
     if len(track.times) < 3:
         return track

@@ -134,9 +134,9 @@ def opened(names: list[str], epoch: float, days: NDArray[np.float64]) -> Any:
     """Return DE421.
 
     Args:
-        names: of bodies, the centre first.
+        names: names of bodies, the centre first.
         epoch: Julian date.
-        days: after it, (K,).
+        days: days after it, (K,).
 
     Raises:
         UserError: it is missing, or does not have a body or the dates, or the centre is among the bodies.

@@ -16,11 +16,11 @@ from ahnn.arguments import Within, checked
 class EpochMean(Callback):
     """Ends each of the last epochs at the mean of the weights that its steps led to.
 
-    The mean of many steps about an optimum is nearer to it than each of them (Polyak & Juditsky 1992, SIAM
+    The mean of many steps about an optimum is closer to it than each of them (Polyak & Juditsky 1992, SIAM
     J. Control Optim. 30, 838-855). The next epoch begins there, and so do validation and checkpoints.
 
     Args:
-        fraction: of the epochs, the last ones; 0 averages none.
+        fraction: fraction of the epochs, at the end; 0: no averages.
     """
 
     def __init__(self, fraction: Annotated[float, Within(0, 1)]) -> None:

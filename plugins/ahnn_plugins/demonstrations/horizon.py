@@ -54,7 +54,7 @@ class Horizon:
     Args:
         arc: samples that starts are fitted to.
         noise: standard deviation of their positions.
-        seed: of that noise.
+        seed: seed of that noise.
         period: over which errors are averaged, a day or a year in the unit of time of the data.
         unit: its name.
         beside: the oblate planet, if there is one.

@@ -16,7 +16,7 @@ def stretches(states: np.ndarray, times: np.ndarray, samples: int) -> Trajectori
     Args:
         states: (N, T, D) of the bodies, T a multiple of `samples`.
         times: (T,) common to them, or (N, T).
-        samples: of a stretch.
+        samples: samples per segment.
     """
     bodies, total, size = states.shape
     cut = states.reshape(bodies, total // samples, samples, size).swapaxes(0, 1)
