@@ -22,8 +22,8 @@ objects=COLUMN      column with the object of each line (CSV or Parquet), for in
                     a table of their states, or one for all; every=N lines form a batch (100,000)
 shard=2/8           only the objects of the second of eight workers, selected by name
 states=FILE         final states of the objects, usable as start of ahnn.predict: .csv, .parquet, .oem
-window=SECONDS      measurements late by up to this are merged by replay; lines=N is the most kept for it
-lag=SECONDS         each line also has the estimate this long before, smoothed with the measurements since
+window=SECONDS      measurements late by up to this are merged by replay; at most lines=N are kept
+lag=SECONDS         each line also contains the estimate for this much earlier, smoothed with later lines
 measurement=NAME    measurement model; for several sensors +measurement@sensors.NAME=OPTION for each
 measurement.bias_sd=NUMBER      estimate the bias of the sensor; bias_memory=TIME lets it drift
 plugins=NAME        the filter; plugins.ukf.process_noise is Q

@@ -175,7 +175,7 @@ def plain(t: Tensor, dtype: torch.dtype) -> bool:
 
 
 def numbers_alone(x: Tensor, dt: TimeStep) -> bool:
-    """Return whether float64 CPU states (B, D) need values only, without derivatives."""
+    """Return whether float64 CPU states (B, D) need only values, not derivatives."""
     if followed():
         return False
     steps = (dt,) if isinstance(dt, Tensor) else ()

@@ -209,7 +209,7 @@ def _of_plugins(config: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _classes(*options: Mapping[str, Any]) -> list[str]:
-    """Return the names of the classes that options name."""
+    """Return the names of the classes named by options."""
     return [one["_target_"].rpartition(".")[2] for one in options if "_target_" in one]
 
 

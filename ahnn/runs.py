@@ -78,7 +78,7 @@ class Run:
         return f"<p><code>{html.escape(repr(self))}</code></p>{scores}"
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Run:
-        """Return the run on a device and with parameters of a type; this one stays as it is.
+        """Return the run on a device and with parameters of a type; this one is unchanged.
 
         `flow`, `energy` and `rollout` compute in this type; `predict`, `band` and `novelty` always in
         float64, which the device must support.
@@ -92,7 +92,7 @@ class Run:
 
     @property
     def trained(self) -> Dynamics:
-        """The dynamics before a last step over functions, whose effect parameters cannot express."""
+        """The dynamics before the final step in function space, which parameters cannot express."""
         before = self.uncertainty and self.uncertainty.before
         return before[0] if before else self.dynamics
 
@@ -200,8 +200,8 @@ class Run:
     ) -> Prediction:
         """Return predicted states at given times, with covariance and novelty where available.
 
-        Gradients of the states flow to the start and the parameters that require them; covariance and
-        novelty have none.
+        Gradients of the states flow to the start and the parameters that require them; covariance and novelty
+        are not differentiable.
 
         Args:
             start: (B, 2n) or (2n,) states at the first of the times, in the units of the space.

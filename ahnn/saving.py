@@ -1,4 +1,4 @@
-"""Dynamics that were trained in a loop of one's own, saved as a run."""
+"""Dynamics trained in the user's own loop, saved as a run."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def save(
     `ahnn.load` and the commands that predict, assimilate and export take the folder.
 
     Args:
-        dynamics: dynamics of `ahnn.Hamiltonian` and its like.
+        dynamics: dynamics built by `ahnn.Hamiltonian` or similar.
         space: names, units and inertia of the state components.
         dt: sampling interval of the training data, the longest step of predictions.
         folder: new folder.

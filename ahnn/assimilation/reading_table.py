@@ -12,7 +12,7 @@ from torch import Tensor
 from ahnn.assimilation.online import Outcome
 
 Fate = Outcome | Literal["bad", "lost", "unknown"]
-"""Outcomes of a reading: those for one object, or no finite estimate, lost object, or unknown object."""
+"""Outcomes of a reading: as for one object, or no finite estimate, lost object, or unknown object."""
 FATES: tuple[Fate, ...] = (
     *("taken", "reopened", "rejected", "predicted", "repeated", "late", "ahead"),
     *("bad", "lost", "unknown"),
@@ -26,7 +26,7 @@ Places = NDArray[np.int64]
 
 
 class ReadingTable(NamedTuple):
-    """Table of Table of K readings.
+    """Table of K readings.
 
     Attributes:
         objects: names of the measured objects.

@@ -38,7 +38,7 @@ class CalibrationRequest:
 
 
 class CalibrationDraw(NamedTuple):
-    """One draw: its number, counted from 1, and where it is."""
+    """One draw: its number, counted from 1, and its folder."""
 
     number: int
     folder: Path

@@ -13,11 +13,11 @@ from ahnn.cli.commandline import alternatives, compose, config_loader, parse, wo
 from ahnn.cli.unreferenced_keys import require_referenced
 
 LEARNS = ("sensor", "recipe", "loss", "experiment")
-"""Groups that say how noise is learned from."""
+"""Groups that define how to learn from noisy data."""
 
 
 def with_recorded(texts: Sequence[str]) -> list[str]:
-    """Add sensor=recorded where numbers from outside have noise, and no option says how to learn from it."""
+    """Add sensor=recorded for recorded data with noise if no option defines how to learn from it."""
     noisy = any(text.startswith("data.noise=") and text != "data.noise=null" for text in texts)
     if "system=files" not in texts or not noisy or {text.partition("=")[0] for text in texts} & {*LEARNS}:
         return [*texts]

@@ -23,11 +23,11 @@ SCORE = "score.json"
 
 
 class NumberedDraw(Protocol):
-    """One training among many."""
+    """One training run of a study."""
 
     @property
     def folder(self) -> Path:
-        """Where its run and its score are."""
+        """Folder of its run and its score."""
         ...
 
 
@@ -35,7 +35,7 @@ D = TypeVar("D", bound=NumberedDraw)
 
 
 def finished(draw: NumberedDraw) -> bool:
-    """Return whether the score is there; the folder appears with it."""
+    """Return whether the score exists; the folder appears with it."""
     return (draw.folder / SCORE).is_file()
 
 

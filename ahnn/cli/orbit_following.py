@@ -30,7 +30,7 @@ FOREIGN = (
     "time_system",
     "time",
 )
-"""Keys of a stream that an orbit determination says itself, or has no use for."""
+"""Keys of a stream that an orbit determination sets itself or does not use."""
 DEFAULT = "plugins=ukf"
 
 
@@ -38,7 +38,7 @@ def read_following(arguments: list[str], usage: str) -> Stream:
     """Return the stream requested by a command line.
 
     Raises:
-        UserError: no such file, an unknown key, or options that do not go together.
+        UserError: no such file, an unknown key, or incompatible options.
         TrainingError: the start is fitted, and there is no fit.
     """
     given = ["watch=true" if argument == "--watch" else argument for argument in arguments]
@@ -69,10 +69,10 @@ def read_following(arguments: list[str], usage: str) -> Stream:
 
 
 def filter_of(overrides: list[str], gate: AskedGate) -> tuple[RecursiveEstimator[Any], tuple[float, float]]:
-    """Return the estimator that a command line names, and the process noise of a minute.
+    """Return the estimator named on a command line, and the process noise per minute.
 
     Raises:
-        UserError: none, several, or a process noise that is fitted to a model.
+        UserError: no or several estimators, or a process noise fitted to a model.
     """
     texts = overrides if any(text.startswith("plugins=") for text in overrides) else [DEFAULT, *overrides]
     cfg = composed("train", texts, partly=True)

@@ -132,7 +132,7 @@ def require_same_settings(made: Plan) -> None:
 
 
 def settings(cfg: DictConfig, folder: str) -> dict[str, Any]:
-    """Return the content of a training's config.yaml."""
+    """Return the content of a run's config.yaml."""
     from ahnn.cli.build import stored
 
     own = cfg.copy()

@@ -92,7 +92,7 @@ def train_once(cfg: DictConfig, source: Source | None = None, asked: Sequence[st
 
 
 def go_on(cfg: DictConfig) -> str:
-    """Return the command that resumes a stopped training."""
+    """Return the command that resumes a stopped run."""
     from ahnn.cli.parts import is_multirun
 
     if cfg.get("trial") is not None:

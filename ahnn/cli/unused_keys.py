@@ -1,4 +1,4 @@
-"""Rejection of command line keys that no part of a training reads."""
+"""Rejection of command line keys that no part of a run reads."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def asked_for(texts: Iterable[str] | None) -> Iterable[str]:
 
 
 def require_read(cfg: DictConfig, prepared: Prepared, texts: Iterable[str] | None = None) -> None:
-    """Reject overrides that no part of a training reads.
+    """Reject overrides that no part of a run reads.
 
     Args:
         cfg: configuration of the training.

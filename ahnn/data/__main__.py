@@ -4,7 +4,7 @@ PATH...        data files for system=files, docs/data.md, or tracking files, doc
 figures=DIR    plot data and findings into a folder as PNG and SVG
 mass=M         also gap, frame, step, duration: options of system=files
 
-The exit code is 2 if a finding would spoil a training or an orbit, and 0 otherwise.
+The exit code is 2 if a finding would spoil the training or the orbit, and 0 otherwise.
 """
 
 from __future__ import annotations

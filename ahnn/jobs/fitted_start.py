@@ -1,4 +1,4 @@
-"""Start of an assimilation that is fitted to its first measurements, with the flow that was learned."""
+"""Start of an assimilation, fitted to its first measurements with the learned flow."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ from ahnn.uncertainty import forecast_columns
 log = logging.getLogger("ahnn")
 
 TAKEN = 20
-"""Number of measurements that are fitted unless the user says another."""
+"""Default number of fitted measurements."""
 TRIED = 32
 """Number of training states from which a fit is tried."""
 ITERATIONS = 30
-"""Largest number of iterations from the best of them."""
+"""Maximum number of iterations from the best of them."""
 MOST = 0.2
 """Maximum number of outliers, as a fraction of all other measurements."""
 UNSEEN = 1e-7

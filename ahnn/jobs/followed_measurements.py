@@ -23,7 +23,7 @@ class FollowedMeasurements:
     """Measurements of a satellite as lines of a stream; notified of each accepted one.
 
     Attributes:
-        data: all, those that were fitted before among them.
+        data: all measurements, including the fitted ones.
         rows: mask of the measurements followed, (N,) bool.
         names: names of all estimated components.
         beside: function of a time that returns further estimates to report at the end.

@@ -39,11 +39,11 @@ from ahnn.types import Space, Units
 log = logging.getLogger("ahnn")
 
 SPACE = Space("orbit", ("x", "y", "z", "px", "py", "pz"), Units("s", "km", "km/s", "km²/s²"))
-"""Of the states; velocities are momenta of the mass 1, so that tracks are starts of learned models."""
+"""Space of the states; velocities are momenta of mass 1, so that tracks are starts of learned models."""
 LONGEST = 3600.0
-"""Longest step of the filter, s; the flow chooses its own within it."""
+"""Longest step of the filter, s; the flow takes shorter steps."""
 MINUTE = 60.0
-"""Over which a given process noise adds up, s."""
+"""Time in which a given process noise is added, s."""
 Mask = NDArray[np.bool_]
 
 
@@ -207,7 +207,7 @@ def given_start(asked: AssimilationRequest, orbit: OrbitFollowing) -> tuple[Prep
 
 
 def no_carry(states: Tensor, times: Tensor, covariances: Tensor) -> Tensor:
-    """Refuse the covariance of an earlier state."""
+    """Raise UserError for the covariance of an earlier state."""
     del states, times, covariances
     message = (
         "start: expected the covariance of its last state; received the covariance of an earlier state. Add "

@@ -59,7 +59,7 @@ class PlannedSensor(NamedTuple):
 
     Attributes:
         name: name of the station, or `fix`.
-        model: (x (D,), t) -> its M values.
+        model: map (x (D,), t) -> M values.
         deviations, bias_sd: (M,) standard deviations of their noise and of their constant biases.
         joined: whether measurements without a gap belong to one session, a pass.
     """
@@ -177,9 +177,9 @@ def candidates(
     Args:
         instruments: instruments of possible measurements.
         states: (T, D) predicted states.
-        factors: (T, D, R) of their covariances.
+        factors: (T, D, R) factors of their covariances.
         times: (T,).
-        most: greatest number of times in a session of a station.
+        most: maximum number of times in a session of a station.
     """
     biased = sum(int((one.bias_sd > 0).sum()) for one in instruments)
     found, used = [], 0
@@ -198,7 +198,7 @@ def candidates(
 
 
 def passes(seen: Tensor) -> list[Tensor]:
-    """Return the indices of each run of neighbouring samples (T,) that are seen."""
+    """Return the indices of each run of consecutive visible samples (T,)."""
     samples = seen.nonzero().flatten()
     gaps = (samples.diff() > 1).nonzero().flatten() + 1
     return [part for part in samples.tensor_split(gaps) if len(part)]
@@ -217,7 +217,7 @@ def row_of(one: Candidate, times: Tensor, begin: Starts, clock: str) -> tuple[st
 
 
 def beside(rows: list[Tensor], forecast: Tensor, count: int, reached: float) -> list[str]:
-    """Compare a plan with sessions at equal spacing in time: as many, and the number that is as good."""
+    """Compare a plan with equally spaced sessions: the same number, and the number of equal precision."""
     lines = []
     for more in range(count, len(rows) + 1):
         equal = [rows[k] for k in evenly_spaced(len(rows), more)]

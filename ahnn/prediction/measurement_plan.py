@@ -89,7 +89,7 @@ def _trace(factor: Tensor) -> Tensor:
 
 
 def _reduction(rows: Tensor, forecast: Tensor) -> float:
-    """Return by how much measurements lower the trace of the forecast's covariance."""
+    """Return the decrease of the trace of the forecast's covariance due to measurements."""
     innovation = torch.eye(len(rows)).to(rows) + rows @ rows.mT
     root = torch.linalg.cholesky(innovation)
     return float(_trace(torch.linalg.solve_triangular(root, rows @ forecast.mT, upper=False)))

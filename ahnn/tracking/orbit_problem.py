@@ -127,7 +127,7 @@ def unknowns_of(start: Array, forces: PreparedForces, data: TrackingData, biases
 
 
 def moment_of(data: TrackingData, time: float) -> str:
-    """Return the epoch of a time of some measurements."""
+    """Return the epoch of a measurement time."""
     return epochs.spelled(data.epoch + round(time * epochs.SECOND), utc=True)
 
 
@@ -181,7 +181,7 @@ def entries_of(setup: OrbitSetup, folder: Path, data: TrackingData) -> dict[str,
 
 
 def require_event(entry: StationEntry, name: str, data: TrackingData) -> None:
-    """Raise UserError for a station that says that times tag another event than the data do."""
+    """Raise UserError for a station whose times tag another event than the data."""
     if entry.event not in (None, data.event):
         message = f"stations: {name}.event: expected {data.event}, as measured; received {entry.event}"
         raise UserError(message)
@@ -206,7 +206,7 @@ def by_kind(choice: KindChoice) -> Array:
 
 
 def noise_of(setup: OrbitSetup, data: TrackingData, entries: dict[str, StationEntry]) -> Array:
-    """Return the noise by station and kind, (stations, 6): the station's, the setup's, the file's median.
+    """Return the noise by station and kind, (stations, 6): from station, setup, or file median.
 
     Raises:
         UserError: the noise of some measurements is unknown.

@@ -51,7 +51,7 @@ class GravityChoice:
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceForce:
-    """Radiation pressure, or what drag shares with it.
+    """Radiation pressure, or the common part of it and drag.
 
     Attributes:
         area_to_mass: m^2/kg.
@@ -66,7 +66,7 @@ class SurfaceForce:
 
 @dataclass(frozen=True, kw_only=True)
 class DragChoice(SurfaceForce):
-    """Drag, and the air.
+    """Drag, with the density of the air.
 
     Attributes:
         atmosphere: exponential layers, or Harris-Priester with the bulge of the day.
@@ -127,7 +127,7 @@ class OrbitSetup:
     """Setup of an orbit determination.
 
     Attributes:
-        measurements: file of them, as `read_tracking` reads it.
+        measurements: file in a format of `read_tracking`.
         object: name of the satellite; may be omitted if the file contains only one.
         start: where the fit begins; if omitted, an initial orbit from directions, and ranges if available.
         orientation: bulletins B; without them the days of astropy-iers-data.

@@ -1,4 +1,4 @@
-"""The motion of a satellite under known forces as a flow, wherever a learned one stands: filters, forecasts.
+"""Flow of a satellite under known forces, usable like a learned flow in filters and forecasts.
 
 States are [position, velocity, parameters of the forces, constants], shape (B, D), km and km/s in GCRF;
 other estimated quantities follow the orbit and are constant. Time counts from the epoch of the forces.
@@ -20,7 +20,7 @@ from ahnn.types import TimeStep
 
 Array = NDArray[np.float64]
 SIZE = 6
-"""Components of position and velocity."""
+"""Number of components of position and velocity."""
 
 
 class SatelliteFlow:
@@ -67,7 +67,7 @@ class SatelliteStep(NamedTuple):
         """Return the states (B, D) after dt, all of them by the same steps (see `satellite_arc`).
 
         Raises:
-            TrainingError: they cannot be continued, as of a satellite that falls into the Earth.
+            TrainingError: a state cannot be propagated, for example of a satellite that falls into the Earth.
         """
         before, length = x.detach().numpy(), float(dt)
         forces, p, shape = self.flow.forces, self.flow.parameters(before), (len(before), SIZE)

@@ -1,7 +1,7 @@
 """Search for the mistake that explains residuals that are not noise: undoing it gives a fit.
 
-Stations that stand elsewhere and angles in another unit are undone and fitted again. A rotation of the Earth,
-as from UTC given as UT1, is a further unknown of the linearised measurements (a score test: Rao 1948);
+Wrong station positions and units of angles are corrected and fitted again. A rotation of the Earth, for
+example from UTC given as UT1, is a further unknown of the linearised measurements (a score test: Rao 1948);
 ranges, rates, azimuths and elevations rotate with the stations and do not show it, but right ascensions do.
 """
 
@@ -24,19 +24,19 @@ from ahnn.tracking.tracking_model import ANGLES
 
 Array = NDArray[np.float64]
 WIDE = 3.0
-"""Root mean square of residuals in standard deviations from which mistakes are looked for."""
+"""Root mean square of residuals in standard deviations above which mistakes are sought."""
 EXPLAINED = 0.2
-"""Fraction of it that is left where one is found."""
+"""Maximum fraction of it that remains if a mistake is found."""
 MOST = 4
-"""Mistakes that are undone and fitted."""
+"""Maximum number of mistakes that are undone and fitted."""
 CERTAIN = 5.0
-"""Standard deviations of a turn of the Earth that is told."""
+"""Minimum reported rotation of the Earth, in standard deviations."""
 RATE = 7.292115e-5
-"""Of the Earth, rad/s."""
+"""Rotation rate of the Earth, rad/s."""
 LARGEST = 1.0
 """Maximum of UT1 - UTC in s; a larger difference is another mistake."""
 TURN = 0.1
-"""s by which the Earth is turned for a difference."""
+"""Rotation of the Earth in s for difference quotients."""
 SAME = 1e-3
 """Difference in s below which values of UT1 - UTC agree."""
 DEGREE = np.pi / 180
@@ -67,7 +67,7 @@ def suspected_mistakes(
 
     Args:
         problem: fitted problem.
-        point: its solution; None where there is none.
+        point: its solution, or None.
         rotation: rotation of the Earth in the problem.
     """
     found = [] if point is None else turn_of(problem, point, rotation)
@@ -106,7 +106,7 @@ def nearest_first(problem: OrbitProblem) -> list[tuple[str, OrbitProblem]]:
 
 
 def held_against(problem: OrbitProblem, point: LinearisedOrbit) -> LinearisedOrbit:
-    """Return other measurements, or stations, on the same path."""
+    """Return a point with the residuals of other measurements or stations on the same path."""
     residuals = problem.model.data.values - problem.model(point.arc).values
     residuals[:, ANGLES] = (residuals[:, ANGLES] + np.pi) % (2 * np.pi) - np.pi
     return point._replace(residuals=residuals)
@@ -167,7 +167,7 @@ def turn_of(problem: OrbitProblem, point: LinearisedOrbit, rotation: EarthRotati
 def orientation_mistake(
     used: EarthOrientation, known: EarthOrientation, rotation: EarthRotation
 ) -> list[str]:
-    """Return a sentence where UT1 - UTC is another than the IERS has it, which most residuals do not show.
+    """Return a sentence if UT1 - UTC differs from the IERS value, which most residuals do not show.
 
     Args:
         used: orientation of the Earth as given.

@@ -60,7 +60,7 @@ def joined(one: TrackingData, other: TrackingData) -> tuple[TrackingData, NDArra
     """Return two sets of measurements of one satellite as one, with the epoch of the first.
 
     Returns:
-        The measurements, and which of them are of the first, (N,).
+        The measurements, and the mask of the first set, (N,).
 
     Raises:
         UserError: their times tag different events.

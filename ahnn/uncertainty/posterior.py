@@ -57,7 +57,7 @@ class Uncertainty:
         return self.spread @ self.spread.mT
 
     def to(self, device: torch.device | str | None) -> Uncertainty:
-        """Return the same on a device, in float64."""
+        """Return a copy on a device, in float64."""
         moved = {name: part.to(device) for name in PARTS if (part := getattr(self, name)) is not None}
         before = self.before and (copy.deepcopy(self.before[0]).to(device), self.before[1].to(device))
         return replace(self, **moved, before=before)
