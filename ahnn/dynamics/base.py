@@ -73,14 +73,14 @@ class Dynamics(nn.Module, ABC):
         return x + self.increment(x, dt)
 
     def rollout(self, start: Tensor, steps: int, dt: TimeStep) -> Tensor:
-        """Return trajectories, shape (B, steps + 1, D), from states `start`, (B, D), which they begin with.
+        """Return trajectories, shape (B, steps + 1, D), which begin with the states `start`, (B, D).
 
         Gradients flow to all that require them; under `torch.no_grad` memory is saved.
 
         Args:
             start: (B, D) states.
             steps: number of steps.
-            dt: step length, or (B, steps) of them.
+            dt: step length, or (B, steps) step lengths.
         """
         return rollout(self, start, dt, steps + 1, gradients=torch.is_grad_enabled())
 

@@ -100,7 +100,7 @@ class NeuralDynamics(IntegratedField):
 
 
 MOVES = ("mechanical", "central_body", "pairs")
-"""Hamiltonians whose kinetic energy is known: without the learned part they are a motion."""
+"""Hamiltonians with known kinetic energy, which describe a motion even without the learned part."""
 CENTRED = ("isotropic", "radial", "central_body", "perturbed_body")
 """Input maps and Hamiltonians that assume a force centre at the origin."""
 

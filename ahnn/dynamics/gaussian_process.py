@@ -28,7 +28,7 @@ from ahnn.memory import require_memory
 
 BEGIN = 2.0
 """Initial length scales: the range of scaled states. Data shorten lengths that are too long; with lengths
-that are too short, weights without a prior, as before the last steps, fit the noise.
+that are too short, weights without a prior, as before the final steps, fit the noise.
 """
 
 

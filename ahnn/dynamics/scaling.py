@@ -21,7 +21,7 @@ Kind = Literal["minmax", "block", "none"]
 UNEVEN = 30.0
 """Ratio of ranges, or of energies, from which coordinates have separate scales."""
 ROUNDING = 1e-9
-"""Ratio at which a component is taken to be constant but for rounding."""
+"""Ratio below which a component counts as constant except for rounding."""
 
 
 @checked

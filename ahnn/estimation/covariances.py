@@ -148,7 +148,7 @@ def _check_eigenvalues(matrix: Tensor, scale: Tensor, failed: Tensor, name: str,
 
 
 def _semidefinite_factor(matrix: Tensor, scale: Tensor) -> Tensor:
-    """Return lower factors of positive semidefinite matrices (B, D, D), zero eigenvalues included."""
+    """Return lower factors of positive semidefinite matrices (B, D, D), also with zero eigenvalues."""
     values, vectors = torch.linalg.eigh(matrix / (scale.unsqueeze(-1) * scale.unsqueeze(-2)))
     rows = (vectors * values.clamp(min=0.0).sqrt().unsqueeze(-2)).mT * scale.unsqueeze(-2)
     return tria(rows)

@@ -44,7 +44,7 @@ class Innovation(NamedTuple):
 
     Attributes:
         residual: (B, M) measurement minus prediction, NaN where a component is missing.
-        deviation: (B, M) predicted standard deviations of the available residuals, R included.
+        deviation: (B, M) predicted standard deviations of the available residuals, including R.
         nis: (B,) normalised innovation squared of the available components, including rejected rows; NaN
             without measurements.
         measured: (B,) int64, number of available components.

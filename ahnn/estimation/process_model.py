@@ -30,7 +30,7 @@ def same(value: Any) -> Any:
 
 
 class StepLaw(NamedTuple):
-    """What leads back over one step: means (B, D) before it and as predicted, and the law of the smoother."""
+    """Data for a step backwards: means (B, D) before the step and as predicted, and the smoother's law."""
 
     before: Tensor
     predicted: Tensor

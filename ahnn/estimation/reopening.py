@@ -1,9 +1,9 @@
 """Reopening of a gate: many consecutive rejections mean that the filter has lost its object.
 
-The belief gets the covariance with which it began on top, and as many times that as the measurement needs to
-be no surprise: its normalised innovation squared (NIS) at most twice the number of its components. Positions
-and velocities become uncertain together in the proportion of the start, also in directions in which the
-belief had become narrow; biases and parameters, which no manoeuvre changes, keep their covariance.
+The covariance of the start is added to the belief, times a factor that makes the measurement unsurprising:
+its normalised innovation squared (NIS) is at most twice the number of its components. Positions and
+velocities become uncertain in the proportion of the start, also in directions in which the belief had become
+narrow; biases and parameters, which no manoeuvre changes, keep their covariance.
 """
 
 from __future__ import annotations

@@ -108,7 +108,7 @@ def stepped_back(before: Tensor, predicted: Tensor, law: Backward, after: Belief
 
     Args:
         before: (B, D) filtered mean before the step.
-        predicted: (B, D) mean after it, as it was predicted.
+        predicted: (B, D) predicted mean after it.
         law: law of the step, (B, D, D).
         after: smoothed belief after it.
     """

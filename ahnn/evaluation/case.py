@@ -158,7 +158,7 @@ class Findings:
 
     Attributes:
         notes: findings without a row, attached to the first row of the evaluation.
-        faults: findings that ask for a remedy, for the verdict.
+        faults: findings that need a remedy, for the verdict.
         highlights: further findings for the verdict.
     """
 

@@ -185,27 +185,27 @@ class Variances(NamedTuple):
 
 
 def imagined(columns: int) -> Tensor:
-    """Return `DRAWS` draws of so many independent causes, in their standard deviations, (columns, DRAWS)."""
+    """Return `DRAWS` draws of independent causes, in their standard deviations, (columns, DRAWS)."""
     return torch.randn(columns, DRAWS, generator=torch.Generator().manual_seed(0))
 
 
 def held(off: Tensor, sd: Tensor) -> Tensor:
-    """Return how many of n errors (n, DRAWS), with deviations (n, 1), each draw has within bands, (3, DRAWS).
+    """Return the number of errors (n, DRAWS), with deviations (n, 1), within bands in each draw, (3, DRAWS).
 
-    Errors of one training are correlated: if nearly all lie along one direction, a calibrated band contains
-    nearly all of them or few.
+    Errors of one training run are correlated: if nearly all lie along one direction, a calibrated band
+    contains nearly all of them or few.
     """
     return torch.stack([(off.abs() <= k * sd).sum(0) for k in SIGMAS])
 
 
 def middle(shares: Tensor) -> tuple[tuple[float, float], ...]:
-    """Return the ends of the middle 95 % of shares (3, DRAWS)."""
+    """Return the ends of the middle 95 % of fractions (3, DRAWS)."""
     ends = torch.tensor([(1 - MIDDLE) / 2, (1 + MIDDLE) / 2], dtype=torch.float64)
     return tuple((float(low), float(high)) for low, high in torch.quantile(shares.double(), ends, dim=1).mT)
 
 
 def right_bands(shares: tuple[float, ...], right: tuple[tuple[float, float], ...]) -> str:
-    """Format the coverage of calibrated bands and the conclusion; where halves would do, nothing follows."""
+    """Format the coverage of calibrated bands and the conclusion; none if bands of half the width would pass."""
     if right[1][0] <= NORMAL[0]:
         return "too few independent directions to tell"
     ends = ", ".join(f"{100 * low:.3g} to {100 * high:.3g}" for low, high in right)

@@ -94,7 +94,7 @@ def fit_to(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") -
     Args:
         dynamics: float64 dynamics with a method `increment`.
         segment: measurements not used in training.
-        robust: robust loss of single residuals.
+        robust: robust loss of residuals.
     """
     steps = steps_between(segment.times, segment.instrument.longest)
     return fit_starts(trial_of(dynamics, robust), guess(segment), segment, steps), steps

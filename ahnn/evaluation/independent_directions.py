@@ -1,8 +1,8 @@
-"""Are bands as wide as errors? Errors of one training move together, and count along independent directions.
+"""Test whether bands are as wide as errors, along independent directions: errors of a run are correlated.
 
 With W the sensitivities of all states, in their standard deviations, to independent causes of variance 1,
-right bands mean errors W eta with eta ~ N(0, I). Along an eigenvector v of W^T W with the eigenvalue s^2 the
-errors e are z = v^T W^T e / s^2 ~ N(0, 1), independently: the sum of z^2 over k directions is chi-square.
+calibrated bands mean errors W eta with eta ~ N(0, I). Along an eigenvector v of W^T W with the eigenvalue s^2
+the errors e are z = v^T W^T e / s^2 ~ N(0, 1), independently: the sum of z^2 over k directions is chi-square.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ VARIANCE = 0.99
 MIDDLE = 0.95
 """Fraction of training runs with calibrated bands that lie within the interval."""
 HALF = 0.5
-"""An interval that admits bands of half or of twice the right width is no check."""
+"""An interval that admits bands of half or twice the correct width is no test."""
 
 
 class DirectionTest(NamedTuple):
     """Errors along the independent directions of bands.
 
     Attributes:
-        directions: k, how many.
+        directions: number k of directions.
         scatter: rms of the errors along them, in standard deviations.
     """
 

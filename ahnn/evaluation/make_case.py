@@ -48,7 +48,7 @@ def make_case(
         folder: output folder.
         uncertainty: covariance of the parameters, if available.
         domain: representative training states, if available.
-        robust: robust loss of single residuals in the training.
+        robust: robust loss of the training.
         noise: measurement noise from the metadata of the weights, if the training estimated it.
         remark: remark on the data, for the table.
         caveat: reason why the training cannot have made a good model.

@@ -1,7 +1,8 @@
-"""Simulation-based calibration: over draws of truth and data, ranks of the truth in right bands are uniform.
+"""Simulation-based calibration: over draws of truth and data, ranks of the truth in calibrated bands are uniform.
 
 The rank of a true number among infinitely many draws of a band is Phi(error / sd) (Cook, Gelman & Rubin 2006,
-J. Comput. Graph. Stat. 15, 675-692). Ranks of one training depend on each other: a test takes one of each.
+J. Comput. Graph. Stat. 15, 675-692). Ranks of one training run are dependent: a test uses one rank of each
+run.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from ahnn.evaluation.independent_directions import DirectionTest, together
 
 TIMES = ("a quarter", "half", "the end")
 REFUSED = 0.05
-"""Probability, over all tests together, of refusing right bands."""
+"""Probability of rejecting calibrated bands, over all tests together."""
 DRAWS = 20
 """With fewer draws, ranks that pass the test mean little."""
 Score = Mapping[str, Mapping[str, Any]]
@@ -68,7 +69,7 @@ def rank_table(scores: Sequence[Score]) -> str:
 
 
 def rank_figure(scores: Sequence[Score]) -> Figure:
-    """Draw the fraction of ranks below each value, less that value, and where uniform ones are in 95 %."""
+    """Draw the fraction of ranks below each value, minus that value, and the 95 % band of uniform ranks."""
     figure = style.canvas(7, 4)
     axes = figure.subplots()
     every = ranks(scores)

@@ -31,7 +31,7 @@ class ResidualTests(NamedTuple):
         pairs: (M,) number of neighbour pairs.
         bias: (M,) mean over trajectories of their means.
         bias_error: (M,) its standard error, from the scatter of trajectories.
-        spread: (M,) standard deviation of constant offsets of trajectories, noise contribution subtracted.
+        spread: (M,) standard deviation of constant offsets of trajectories, minus the contribution of noise.
         spread_ratio: (M,) variance of the means of trajectories, divided by the variance of means of the
             noise.
         tails: (M,) fraction of values beyond four robust standard deviations.

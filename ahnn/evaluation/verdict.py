@@ -9,12 +9,12 @@ from ahnn.evaluation.baselines import Worth
 LINES = 5
 """Maximum number of findings in a verdict; more are in the notes."""
 GRADES = {"good": 0.01, "fair": 0.1}
-"""Largest relative errors of a grade, where no noise of measurements is part of them."""
+"""Maximum relative errors of a grade, without measurement noise."""
 
 
 BELOW = ("worse than a linear map",)
 ADVICE = "Train longer, or use another model"
-"""Remedy of a worthless model where no finding has a specific one."""
+"""Default remedy for a worthless model."""
 
 
 def verdict(

@@ -1,6 +1,6 @@
 """Ground station observing a satellite with state [position, momentum] in an inertial frame.
 
-Refraction and polar motion are not modelled; light time is, where measurements are tagged with its ends.
+Refraction and polar motion are not modelled; light time is, for measurements tagged with its ends.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ class UnknownNoise(NamedTuple):
     """Noise parameters estimated in training in addition to the dynamics.
 
     Attributes:
-        sizes: whether standard deviations.
+        sizes: whether to estimate standard deviations.
         correlation: whether to estimate a coloured part.
         bias_sd: (M,) standard deviations of constant biases, 0 where there is none; None: no biases.
     """
@@ -48,7 +48,7 @@ class NoiseEstimate:
         memories: time constants of that part.
         bias: offset of readings from the truth; empty if not estimated.
         bias_sd: standard deviations of these.
-        prior_sd: standard deviations of biases before anything was measured, 0 where there is none.
+        prior_sd: prior standard deviations of biases, 0 without bias.
     """
 
     deviations: list[Positive]
@@ -63,7 +63,7 @@ class NoiseEstimate:
         """Return the instrument with its noise completed by the estimates.
 
         Raises:
-            UserError: the estimate is of another number of columns.
+            UserError: the estimate has a different number of columns.
         """
         size = len(instrument.deviations)
         if any(values and len(values) != size for values in asdict(self).values()):

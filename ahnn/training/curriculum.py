@@ -38,7 +38,7 @@ class SegmentOptions:
         stages: list of stages: intervals per segment, or `relative`, `weak`, `whole`; the fraction of the
             epochs at which the stage ends; and optionally the segments per step, by default
             `data.batch_size`. Short segments first: an inaccurate model cannot fit long ones.
-        robust: robust loss of single residuals: none (squares), huber or student.
+        robust: robust loss of residuals: none (squares), huber or student.
         closing: maximum number of final parameter steps on all measurements, before steps in function space.
         balance: 0, since measurements are weighted by standard deviations.
 

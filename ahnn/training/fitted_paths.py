@@ -25,7 +25,7 @@ def fitted_states(dynamics: Dynamics, train: Segment, robust: RobustName) -> Ten
     Args:
         dynamics: float64 dynamics with a field.
         train: all training measurements.
-        robust: robust loss of single residuals.
+        robust: robust loss of residuals.
     """
     some = train.rows(slice(None, None, -(-len(train.times) // PATHS)))
     problem = whole_problem(dynamics, some, ROBUST[robust])

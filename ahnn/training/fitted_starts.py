@@ -1,4 +1,4 @@
-"""Windows as a flow predicts them from the starts that fit them best, linearised about their samples.
+"""Predictions of windows from their best-fitting starts, linearised about their samples.
 
 A given state, for example from an analytical theory, need not be the state from which a flow predicts best.
 Here a start is fitted to the positions of its window, and the residuals of the fit are minimised. About exact

@@ -60,7 +60,7 @@ def conclude(
         train: all training measurements.
         held_out: measurements not used by any step.
         steps: maximum number of steps.
-        robust: robust loss of single residuals.
+        robust: robust loss of residuals.
 
     Returns:
         None if no trajectory is explained; the parameters are then unchanged.

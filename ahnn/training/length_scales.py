@@ -52,7 +52,7 @@ def choose_lengths(dynamics: Dynamics, train: Segment, robust: Robust) -> None:
     Args:
         dynamics: dynamics with a field; unchanged without waves.
         train: all training measurements.
-        robust: robust loss of single residuals.
+        robust: robust loss of residuals.
     """
     waves = [module for module in dynamics.modules() if isinstance(module, Waves)]
     if not waves:

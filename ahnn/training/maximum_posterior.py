@@ -35,7 +35,7 @@ class WideProblem(ShootingProblem):
 
     @torch.no_grad()
     def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
-        """Return loss and normal equations, starts and biases eliminated."""
+        """Return loss and normal equations without starts and biases."""
         if not len(self.starts):
             return super().equations(theta, sizes)
 
@@ -66,12 +66,12 @@ class WideProblem(ShootingProblem):
 
     @property
     def cost(self) -> Tensor:
-        """The sum of squared residuals at the parameters of the dynamics, of the best biases."""
+        """The sum of squared residuals at the parameters of the dynamics, for the best biases."""
         return self._with_best_biases(super().cost, self.fitted.rows(self.kept))
 
     @torch.no_grad()
     def loss(self, theta: Tensor) -> Tensor:
-        """Return the sum of squared residuals, each segment from its best start, of the best biases."""
+        """Return the sum of squared residuals, each segment from its best start, for the best biases."""
 
         def compute() -> dict[str, Tensor]:
             plain = super(WideProblem, self).loss(theta)
@@ -110,7 +110,7 @@ class WideProblem(ShootingProblem):
         return loss if self.shared is None else loss - self.shared.gain(self.pull(fitted))
 
     def pull(self, fitted: Fitted) -> Tensor:
-        """Return the gradient (K,) in the biases, of segments from the starts that fit them best."""
+        """Return the gradient (K,) with respect to the biases, with each segment from its best start."""
         rows = self.batch.white_residuals(fitted.states[:, self.steps.ends])
         weight = self.robust.weight(rows) * self.limit.weight(fitted.sums)[:, None, None]
         return pull_of(rows * weight, self.batch)

@@ -86,7 +86,7 @@ def shooting_seconds(model: Any, data: WindowDataModule) -> float:
 
 
 def amounts(data: WindowDataModule, per_epoch: int, epochs: range) -> list[int]:
-    """Return the work per epoch, validation included: number of measurement times, or 1 without stages."""
+    """Return the work per epoch, including validation: number of measurement times, or 1 without stages."""
     if getattr(data, "stages", None) is None:
         return [1] * len(epochs)
     loader, found = data.train_dataloader(), []

@@ -102,7 +102,7 @@ class ShootingProblem:
     Args:
         dynamics: dynamics with a field; initial states are first fitted at their current parameters.
         batch: measurement segments.
-        robust: robust loss of single residuals.
+        robust: robust loss of residuals.
         hopeless: mean squared residual at which a segment is abandoned.
         starts: (B, D) approximate initial states; None derives them from measurements.
         quartered: whether to quarter the integrator steps between measurements.
@@ -190,7 +190,7 @@ class ShootingProblem:
 
     @torch.no_grad()
     def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
-        """Return loss and normal equations, initial states eliminated; none if no segment converged."""
+        """Return loss and normal equations without initial states; none if no segment converged."""
         del sizes
         if not len(self.starts):
             return Equations(theta.new_tensor(HOPELESS), 1, [])
@@ -261,7 +261,7 @@ class ShootingProblem:
         return self._pulled_back(theta, here, now, (second / reach**2).where(finite, 0.0))
 
     def _pulled_back(self, theta: Tensor, here: Fitted, now: Linearised, rows: Tensor) -> Tensor:
-        """Return J^T of rows (B, R), shape (P,), by reverse mode along paths, initial states eliminated."""
+        """Return J^T of rows (B, R), shape (P,), by reverse mode along paths, without initial states."""
         basis = torch.linalg.qr(now.of_start.flatten(1, 2)).Q
         rows = rows - (basis @ (basis.mT @ rows.unsqueeze(-1))).squeeze(-1)
         rows = rows * self.limit.weight(here.sums)[:, None]

@@ -52,7 +52,7 @@ class Weak:
     """Integrals of the field against test functions, in standard deviations of their noise.
 
     Attributes:
-        robust: robust loss of single residuals: none (squares), huber or student.
+        robust: robust loss of residuals: none (squares), huber or student.
         relative: whether to add the model discrepancy of the field to the noise. Used at the start, far from
             the truth; once residuals are nearly noise, sums of many residuals are more informative without
             it.

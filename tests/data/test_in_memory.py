@@ -162,7 +162,7 @@ def test_the_same_trajectory_twice_is_refused_unless_it_is_asked_for():
     states[1] = states[0]
     given = Trajectories(states, times)
     with pytest.raises(
-        UserError, match=r"trajectory 1, row 1: expected valid data.*those from row 1 of trajec"
+        UserError, match=r"trajectory 1, row 1: expected valid data.*the samples from row 1 of trajec"
     ):
         Given(given, SPACE).check()
     Given(given, SPACE, unsound=True).check()

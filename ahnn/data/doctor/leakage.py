@@ -37,7 +37,7 @@ def leakage_findings(tracks: list[Track]) -> list[Finding]:
 def finding(one: Track, other: Track, at: int, first: int) -> Finding:
     """Build the finding that a track repeats another."""
     name = f" of trajectory {one.name}" if one.name else ""
-    what = f"this and later samples repeat the samples after row {one.rows[first]} of {one.file}{name}"
+    what = f"this and later samples repeat the samples from row {one.rows[first]} of {one.file}{name}"
     return Finding("fault", other.file, int(other.rows[at]), "", what, "Keep one of the two trajectories")
 
 
