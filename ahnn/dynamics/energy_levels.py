@@ -33,7 +33,7 @@ def coordinate_energies(statistics: Statistics) -> Tensor:
 
 
 def levels(energies: Tensor) -> Tensor:
-    """Return for each energy, shape (n,), the largest one of similar size, in units of the overall largest."""
+    """Return for each energy, shape (n,), the largest of similar size, in units of the overall largest."""
     relative = energies / energies.max()
     found, top = torch.ones_like(relative), 1.0
     for k in relative.argsort(descending=True).tolist():

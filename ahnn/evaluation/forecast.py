@@ -205,7 +205,7 @@ def middle(shares: Tensor) -> tuple[tuple[float, float], ...]:
 
 
 def right_bands(shares: tuple[float, ...], right: tuple[tuple[float, float], ...]) -> str:
-    """Format the coverage of calibrated bands and the conclusion; none if bands of half the width would pass."""
+    """Format the coverage of calibrated bands and the verdict; none if bands of half the width would pass."""
     if right[1][0] <= NORMAL[0]:
         return "too few independent directions to tell"
     ends = ", ".join(f"{100 * low:.3g} to {100 * high:.3g}" for low, high in right)

@@ -1,4 +1,4 @@
-"""Simulation-based calibration: over draws of truth and data, ranks of the truth in calibrated bands are uniform.
+"""Simulation-based calibration: over draws of truth and data, ranks in calibrated bands are uniform.
 
 The rank of a true number among infinitely many draws of a band is Phi(error / sd) (Cook, Gelman & Rubin 2006,
 J. Comput. Graph. Stat. 15, 675-692). Ranks of one training run are dependent: a test uses one rank of each

@@ -143,7 +143,7 @@ class BiasedStation(Differing):
         return self.station.in_view(x, t)[..., self.kept]
 
     def locate(self, y: Tensor, t: Time) -> Tensor:
-        """Return the positions (..., 3) in km that correspond to y (..., M); NaN unless all kinds are measured."""
+        """Return the positions (..., 3) in km that produce y (..., M); NaN unless all kinds are measured."""
         whole = y.new_full((*y.shape[:-1], len(SEEN)), torch.nan)
         whole[..., self.kept] = y - torch.tensor(self.bias).to(y)
         return self.station.locate(whole, t)

@@ -21,9 +21,9 @@ from ahnn_plugins.demonstrations.two_body import kepler
 
 TWO_BODY, KNOWN = "two-body", "known part"
 ROUNDS, SETTLED = 8, 1e-6
-"""Gauss-Newton steps of a start at most, and the relative change of a sum of squares that is none."""
+"""Maximum number of Gauss-Newton steps for a start, and negligible relative change of its sum of squares."""
 NUDGE = 1e-6
-"""Differences of starts, relative to distance and speed."""
+"""Finite differences of starts, relative to distance and speed."""
 
 
 class Ahead(NamedTuple):
@@ -47,15 +47,15 @@ class Ahead(NamedTuple):
 class Horizon:
     """A learned flow compared with its known physics, an oblate planet, and two-body motion.
 
-    Each predicts the test trajectories twice: from their first state, and from the start that fits noisy
-    positions of their first samples best. If the learned flow contains known forces, a row shows these
-    without the learned part.
+    Each predicts the test trajectories twice: from their first state, and from the start that best fits noisy
+    positions of their first samples. If the learned flow contains known forces, a row shows these without the
+    learned part.
 
     Args:
-        arc: samples that starts are fitted to.
+        arc: number of samples for fitting a start.
         noise: standard deviation of their positions.
         seed: seed of that noise.
-        period: over which errors are averaged, a day or a year in the unit of time of the data.
+        period: time over which errors are averaged, a day or a year in the unit of time of the data.
         unit: its name.
         beside: the oblate planet, if there is one.
         mu: mu of two-body motion, or a list of one per body, whose trajectories alternate. None: mu of the
@@ -82,7 +82,7 @@ class Horizon:
         self.mu = torch.tensor(found if isinstance(found, list) else [found], dtype=torch.float64)
 
     def check(self, truth: System | None, space: Space, steps: int) -> None:
-        """Raise UserError for data in other units, or too short ones."""
+        """Raise UserError for data in other units, or too short trajectories."""
         del truth
         if space.dof != 3 or (self.beside is not None and space.units != self.beside.units):
             expected = "three dimensions" if self.beside is None else str(self.beside.units)
@@ -108,7 +108,7 @@ class Horizon:
         return kepler(x, torch.as_tensor(dt).to(x).expand(x.shape[:-1]), mu)
 
     def __call__(self, case: Case) -> Findings:
-        """Return the rows of the other flows, errors of each period, and over how many the model is best."""
+        """Return the rows of the other flows, errors per period, and the number of periods the model leads."""
         measured, ahead = self._measured(case), []
         for name, flow in self.flows(case).items():
             starts = {"true": case.test.states[:, 0], "fitted": fitted_start(flow, measured, case)}
@@ -173,7 +173,7 @@ def predicted(flow: Flow, starts: Tensor, case: Case, samples: int) -> Tensor:
 def fitted_start(flow: Flow, measured: Tensor, case: Case) -> Tensor:
     """Return the starts (B, 6) from which a flow best fits positions (B, K, 3), by Gauss-Newton steps.
 
-    They begin at the true start; derivatives are differences. A step that makes a fit worse is not taken.
+    Steps begin at the true start; derivatives are finite differences. A step that worsens a fit is not taken.
     """
     best = start = case.test.states[:, 0]
     sizes = [part.norm(dim=-1, keepdim=True).expand(-1, 3) for part in start.chunk(2, dim=-1)]
@@ -202,6 +202,6 @@ def off(states: Tensor, case: Case) -> Tensor:
 
 
 def periods_ahead(ahead: list[Ahead], label: str, other: str, start: str) -> int:
-    """Return the number of first periods in which the flow of a label is more accurate than another flow."""
+    """Return the number of initial periods in which the flow of a label is more accurate than another one."""
     own, theirs = (one for name in (label, other) for one in ahead if (one.name, one.start) == (name, start))
     return int((own.errors < theirs.errors).long().cumprod(0).sum())

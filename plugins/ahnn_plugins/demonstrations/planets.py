@@ -31,7 +31,7 @@ class Planets:
         stretches: number of consecutive segments per planet.
 
     Raises:
-        UserError: a planet that DE421 does not have, or dates that it does not cover.
+        UserError: a planet missing in DE421, or dates outside DE421.
     """
 
     truth: System | None = None

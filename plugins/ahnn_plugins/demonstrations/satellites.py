@@ -42,8 +42,7 @@ class Satellites:
         stretches: number of consecutive segments per satellite.
 
     Raises:
-        UserError: a satellite that the verification set does not have, or that SGP4 cannot propagate that
-            long.
+        UserError: a satellite missing in the verification set, or one that SGP4 cannot propagate that long.
     """
 
     truth: System | None = None

@@ -48,7 +48,7 @@ class Joint(NamedTuple):
     """Joint distribution of measurement and state.
 
     Attributes:
-        chol: (B, M + D, M + D) lower factor of their covariance, measurement noise included.
+        chol: (B, M + D, M + D) lower factor of their covariance, with measurement noise.
         deviations: (B, N, M) deviations of the measured members from their mean.
         innovation: (B, M) innovation.
         noise: (B, 2 M, M) rows of the measurement noise, see `present_noise`.

@@ -37,6 +37,6 @@ def one_each(entries: Iterable[Entry]) -> list[Entry]:
 
 
 def training_folder(entry: Entry) -> Path:
-    """Return the folder of the run that an evaluation in `RUN/evaluations/NAME` belongs to."""
+    """Return the run folder of an evaluation in `RUN/evaluations/NAME`."""
     folder = entry.folder
     return folder.parent.parent if folder.parent.name == "evaluations" else folder
