@@ -123,7 +123,6 @@ def require_controls(clock: int, space: Space) -> None:
     if clock > 1 and clock - 1 != len(space.controls):
         names = ", ".join(space.controls) or "none"
         message = (
-            f"space.controls: expected the names of the {clock - 1} controls of the dynamics; received "
-            f"{names}"
+            f"space.controls: expected {clock - 1} names, for the controls of the dynamics; received {names}"
         )
         raise UserError(message)

@@ -62,7 +62,7 @@ NOT_RUN = {
     "-m ahnn.reproduce system=mass_spring budget=laptop": "fifteen trainings of 20,000 steps",
     "-m ahnn.reproduce system=molniya budget=laptop": "fifteen trainings of 20,000 steps",
     "runs/reproduce/mass_spring_laptop": "needs the thirty runs of the two commands before it",
-    "bench_time_to_accuracy": "twenty minutes: the plain way is given twelve times as long",
+    "bench_time_to_accuracy": "twenty minutes: plain training is given twelve times as long",
     "sweep=quick trainer=ddp": "forty trials of two processes each, over ten minutes on two cores",
     "benchmarks/run.py": "minutes, and it writes docs/benchmarks.md anew",
     "mutate.py": "hours: the suite runs once for each change",

@@ -120,7 +120,7 @@ def test_the_command_lists_faults_and_ends_with_2(tmp_path, capsys):
     assert "received 2 faults that would spoil an orbit determination" in err
     assert call("ahnn.data.__main__", "check", str(tmp_path / "a.aer"), str(tmp_path / "b.csv")) == 2
     out, err = capsys.readouterr()
-    assert "faults that would spoil a training" in err
+    assert "faults that would spoil the training" in err
     assert "b.csv" in out
 
 
