@@ -22,7 +22,7 @@ import os
 import sys
 
 # Before any other import: `python -m` puts the working directory first on the path, so modules in it would be
-# imported in place of libraries and as plugins. The directory may belong to somebody else
+# imported in place of libraries and as plugins. The directory may belong to another user
 # (docs/extending.md).
 _names_us = any(word.removeprefix("-m").partition(".")[0] == __name__ for word in sys.orig_argv[1:])
 _is_command = _names_us and sys.argv[:1] == ["-m"]  # while `-m` looks up its module

@@ -72,7 +72,7 @@ def atomic_file(path: Path, mark: str = "") -> Iterator[BinaryIO]:
             yield file
             file.flush()
             os.fsync(file.fileno())
-            if sys.platform == "win32":  # it renames no open file
+            if sys.platform == "win32":  # Windows cannot rename an open file
                 file.close()
             temporary.replace(path)
         except BaseException as error:

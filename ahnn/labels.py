@@ -63,7 +63,7 @@ def require_velocities(space: Space, who: str) -> None:
     """Raise UserError for reading or writing velocities where momenta are not mass times velocity."""
     if not space.mechanical:
         message = (
-            f"{who}: expected momenta equal to mass times velocity; received {space.name}, whose momenta "
-            "are not. Use a table"
+            f"{who}: expected momenta equal to mass times velocity; received {space.name}, where they "
+            "differ. Use a table"
         )
         raise UserError(message)

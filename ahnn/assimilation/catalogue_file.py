@@ -84,7 +84,7 @@ def read_catalogue(
         raise UserError(message) from error
     if about["of"] != identity:
         expected = "a state of this model, process noise, gate, sensors and window"
-        message = f"state: expected {expected}; received {path}, saved with different ones. {OTHERS}"
+        message = f"state: expected {expected}; received {path}, saved with different settings. {OTHERS}"
         raise UserError(message)
     if names is not None and names != about["names"]:
         message = f"start: expected the {count} objects of {path}; received different objects. {OTHERS}"

@@ -210,7 +210,7 @@ class Assimilation:
         if notes["of"] != self.identity:
             return (
                 "state: expected a state of this model, process noise, gate, sensors and window; received "
-                f"{path}, saved with different ones. Repeat the original command, or remove it and its output"
+                f"{path}, saved with different settings. Repeat the original command, or remove both files"
             )
         if notes["controls"] != self.controls.hash_before(time):
             return (

@@ -55,11 +55,11 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
         if stop := arrived():  # composition swallowed the exception
             raise stop
         if HydraConfig.get().mode is RunMode.MULTIRUN or cfg.get("trial") is not None:
-            return task(cfg)  # who runs several jobs has to see how each of them ended
+            return task(cfg)  # the launcher of several jobs must see how each job ended
         if code := guard(lambda: task(cfg)):
             if is_new:
                 forget(folder := Path(HydraConfig.get().runtime.output_dir))
-                for path in above if own is not None else (folder.parent, *above):  # folder of the day
+                for path in above if own is not None else (folder.parent, *above):  # the folder named by date
                     with contextlib.suppress(OSError):
                         path.rmdir()
             leave(code)  # bypasses Hydra, which would report an error

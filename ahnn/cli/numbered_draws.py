@@ -64,7 +64,7 @@ def run_missing(plan: Sequence[D], words: Callable[[D], list[str]], jobs: int) -
         )
         children.add(child)
         said = child.communicate()[1].decode(errors="replace").strip().splitlines()
-        if child.returncode < SIGNALLED:  # who stopped it has said so
+        if child.returncode < SIGNALLED:  # stops by signal are reported elsewhere
             log.info("%s", said[-1] if said else f"{draw.folder}: ended without a message")
         return child.returncode == 0
 

@@ -89,7 +89,7 @@ class Sensor:
                 "requires recorded measurements: sensor=recorded"
             )
             raise UserError(message)
-        stated = 1.0 if isinstance(noise, str) else noise  # differences of the samples take their place
+        stated = 1.0 if isinstance(noise, str) else noise  # replaced by estimates from sample differences
         names = space.components[: len(measured_by.names)] if isinstance(measured, str) else None
         self.deviations = noise_deviations(measured_by, stated, "data.noise", names)
         biases = Biases.of(measured_by, bias_sd, None, "data.")

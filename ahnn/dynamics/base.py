@@ -63,7 +63,7 @@ class Dynamics(nn.Module, ABC):
             UserError: other than a tensor of states along the last axis.
         """
         dof = getattr(self, "spec", {}).get("dof")
-        allowed = ((2 * dof,), (2 * (dof + self.clock),)) if dof else ()  # the field names a missing time
+        allowed = ((2 * dof,), (2 * (dof + self.clock),)) if dof else ()  # the field reports a missing time
         if not isinstance(x, Tensor) or (dof and x.shape[-1:] not in allowed):
             components = f"{2 * (dof + self.clock)} components" if dof else "states"
             message = (

@@ -59,7 +59,7 @@ def reopened(
     for tried in count(1):
         after, told = wary.update(widened(estimator, before, spread, factor), y, model, noise)
         ratio = told.nis / told.measured
-        far = ratio > USUAL  # not who failed, whose NIS is NaN
+        far = ratio > USUAL  # excludes failed members, whose NIS is NaN
         if tried == TRIES or not bool(far.any()):
             return after, told, after.alive & ~told.rejected & ~far & (told.measured > 0)
         factor = torch.where(far, factor * ratio, factor).clamp(max=WIDEST)

@@ -170,7 +170,7 @@ def without_state(values: Tensor, states: Tensor) -> Tensor:
 
 
 def shared(values: Tensor) -> float:
-    """Return the fraction of the variance of values (B, T, C) that their mean over B explains, unbiased."""
+    """Return the fraction of the variance of values (B, T, C) explained by their mean over B, unbiased."""
     left = values - values.mean((0, 1))
     whole = left.square().mean((0, 1))
     inside = (left - left.mean(0)).square().sum(0).mean(0) / (len(values) - 1)

@@ -107,7 +107,7 @@ class GroundStation(Differing):
         if self.to_bounce:
             delay = self.to_bounce * line.square().sum(-1, keepdim=True).sqrt() / LIGHT
             line = line + delay * x[..., 3:6] / self.mass
-            other = line - 2 * delay * drift  # from where the station is at the other end
+            other = line - 2 * delay * drift  # from the station's position at the other end
         east, north, up = (line.unsqueeze(-2) @ axes).squeeze(-2).unbind(-1)
         distance = line.square().sum(-1).sqrt()
         elevation = torch.atan2(up, torch.hypot(east, north))

@@ -134,6 +134,6 @@ class NoiseEstimate:
         if open_:
             said.append(
                 f"the bias of {', '.join(open_)} cannot be separated from the motion: the learned "
-                "functions shift with it, and bands include the standard deviation given"
+                "functions shift with it, and bands include its given standard deviation"
             )
         return said

@@ -48,7 +48,7 @@ class ChainPendulum(MassMatrixSystem):
         super().__post_init__()
         for name in ("masses", "lengths"):
             if (given := getattr(self, name)) is not None and len(given) != self.links:
-                message = f"{name}: expected one for each of {self.links} links; received {given}"
+                message = f"{name}: expected one number for each of {self.links} links; received {given}"
                 raise UserError(message)
 
     @property

@@ -44,7 +44,7 @@ class NBody(System):
             message = f"bodies: expected at least two; received {self.bodies}"
             raise UserError(message)
         if self.masses is not None and len(self.masses) != self.bodies:
-            message = f"masses: expected one for each of {self.bodies} bodies; received {self.masses}"
+            message = f"masses: expected one number for each of {self.bodies} bodies; received {self.masses}"
             raise UserError(message)
 
     @property

@@ -129,7 +129,7 @@ class Sightings:
                     unused |= {f"{name}.{kind}"} if len(own) else set()
                     continue
                 if len(np.unique(row[own])) < len(own):
-                    message = f"{file}: expected {kind} of {name} once at each time; received one twice"
+                    message = f"{file}: expected {kind} of {name} once at each time; received two"
                     raise UserError(message)
                 values[row[own], columns[name][k]] = data.values[own, k]
         if unused:

@@ -65,7 +65,7 @@ class FittedStarts:
 
         @torch.no_grad()
         def residuals(theta: Tensor) -> Tensor:
-            # About new Jacobians: a deviation of kilometres times their change grows along an orbit.
+            # With new Jacobians: their change times a deviation of kilometres grows along an orbit.
             moved = copy.deepcopy(dynamics)
             vector_to_parameters(theta, moved.parameters())
             return self.residuals(moved, batch).flatten()

@@ -104,7 +104,7 @@ class EstimatorEvaluation:
     ) -> None:
         require_measurement(measurement)
         self.beside, self.seed, self.least_squares = beside, seed, least_squares
-        self.patience = patience  # of the gate of a stream, too
+        self.patience = patience  # also for the gate of a stream
         self.estimator = estimator.gated(None if gate is None else Gate(gate, patience))
         self.smoothers = asked_smoothers(smoother, self.estimator)
         self.process_noise: NoiseOption = noise_option(process_noise)
@@ -263,7 +263,7 @@ class EstimatorEvaluation:
 
     def arcs(self, case: Case, setting: Setting, count: int, steps: int | None, seed: int) -> Problem:
         """Return arcs of a limited number of validation trajectories, used for tuning only."""
-        if steps is not None and clock_of(case.flow):  # arcs begin anywhere, and a filter at time zero
+        if steps is not None and clock_of(case.flow):  # arcs begin at any time, a filter at zero
             message = f"tuning.steps: expected null with forces that depend on time; received {steps}"
             raise UserError(message)
         data = case.validation

@@ -149,7 +149,7 @@ def _decades(panel: Panel) -> dict[str, Any]:
     low, high = float(values.min()), float(values.max())
     if high >= SHORT * low:
         return {"dtick": 1}
-    # plotly would label these with a digit without the power.
+    # plotly would label these by a digit without its power of ten.
     decades = range(math.floor(math.log10(low)) - 2, math.ceil(math.log10(high)) + 3)
     ticks = [float(f"{digit}e{decade}") for decade in decades for digit in (1, 2, 5)]
     return {"tickvals": ticks, "ticktext": [f"{tick:g}" for tick in ticks]}

@@ -101,7 +101,7 @@ def _power(logarithm: float) -> float:
 
 def _quantile(confidence: float, freedom: float) -> float:
     """Return the quantile of Student's t of a two-sided interval."""
-    from scipy.special import stdtrit  # import takes a tenth of a second and is needed for comparisons only
+    from scipy.special import stdtrit  # import takes a tenth of a second and is needed only for comparisons
 
     return float(stdtrit(freedom, 0.5 + confidence / 2))
 

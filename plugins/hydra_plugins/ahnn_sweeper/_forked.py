@@ -75,4 +75,4 @@ def _run(program: str, arguments: list[str], log: str) -> None:
         sys.excepthook(type(error), error, error.__traceback__)
         sys.exit(1)
     finally:
-        atexit._run_exitfuncs()  # `multiprocessing` does so from Python 3.14 on
+        atexit._run_exitfuncs()  # `multiprocessing` does so since Python 3.14
