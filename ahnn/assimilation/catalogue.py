@@ -118,7 +118,7 @@ class Catalogue:
             times: (K,) times.
             values: (K, M) measured values, NaN where missing.
             sensor: name of the sensor; None if there is only one.
-            deviations: (K, M) standard deviations, NaN for the sensor's own.
+            deviations: (K, M) standard deviations, NaN: as set for the sensor.
 
         Raises:
             UserError: an unknown sensor, or values of a wrong shape.

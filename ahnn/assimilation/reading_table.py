@@ -33,7 +33,7 @@ class ReadingTable(NamedTuple):
         times: (K,) times in the unit of the space.
         sensors: (K,) sensor indices, -1 for a request for a prediction.
         values: (K, W) values in the columns of all sensors, NaN where missing.
-        deviations: (K, W) standard deviations, NaN for the sensor's own.
+        deviations: (K, W) standard deviations, NaN: as set for the sensor.
     """
 
     objects: list[str]

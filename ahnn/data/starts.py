@@ -70,7 +70,7 @@ def starts(
         given: the path of a file, or numbers: one state or several.
         space: description of the model's state components.
         ours: frame, centre and time scale of the model; states in another frame are transformed.
-        sd: standard deviations (`state_deviations`) that replace a file's own, or None.
+        sd: standard deviations (`state_deviations`) that take precedence over a file, or None.
         last: whether to use the last state of each trajectory in a file, instead of the first.
 
     Raises:

@@ -52,7 +52,7 @@ def recipe(system: System, count: int, seed: int) -> dict[str, Any]:
 
 
 def source_of(kind: type) -> dict[str, str]:
-    """Return the hashes of the modules that define a system and its bases; `FORMAT` covers ahnn's own.
+    """Return the hashes of the modules that define a system and its bases; `FORMAT` covers modules of ahnn.
 
     Hashes complete modules, since a force may call other functions of its module.
     """

@@ -31,7 +31,7 @@ class Predicted(NamedTuple):
         belief: prior of the next update.
         repaired: (B,) bool, repaired members, or None without repairs.
         sound: whether all members are known to be finite with positive variances; False if unchecked.
-        backward: distribution of the state before the step given that after it, (B, D, D), if requested.
+        backward: distribution of the state before the step given the state after it, (B, D, D), if requested.
         mended: (B,) bool, whether this distribution itself was repaired; None without repairs.
     """
 

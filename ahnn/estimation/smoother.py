@@ -18,7 +18,7 @@ RANK = 1e-12
 
 
 def backward_law(joint: Tensor) -> tuple[Backward, Tensor | None]:
-    """Return the conditional distribution of the state before a step given that after it, (B, D, D).
+    """Return the distribution of the state before a step given the state after it, (B, D, D).
 
     The gain is G = C P⁻¹ with C the cross-covariance of the states before and after, P the predicted
     covariance (Särkkä 2008, eq. 14); the smoother's conditional covariance is P_k - G P Gᵀ, as a

@@ -135,7 +135,7 @@ class Sightings:
         if unused:
             log.warning("%s: not used, since its noise is not given: %s", file, ", ".join(sorted(unused)))
         if np.isfinite(data.deviations).any():
-            log.warning("%s: the standard deviations of the stations are used instead of its own", file)
+            log.warning("%s: its standard deviations are ignored; the noise of the stations is used", file)
         after = (data.epoch - epoch) / SECOND
         return Track(data.object, file, np.arange(1, len(times) + 1), times + after, values)
 

@@ -111,8 +111,8 @@ def load_uncertainty(folder: Path, state: dict[str, Tensor]) -> Uncertainty | No
         or not all(t.dtype == torch.float64 and bool(t.isfinite().all()) for t in tensors.values())
     ):
         message = (
-            f"{folder / FILE}: expected a square factor, steps and directions as long, finite float64; "
-            "received tensors that do not fit"
+            f"{folder / FILE}: expected a square factor, steps and directions of its length, finite "
+            "float64; received tensors that do not fit"
         )
         raise UserError(message)
     return Uncertainty(factor, offset, about.inflation, about.found, directions, step)

@@ -70,7 +70,7 @@ class InteractingModels(MemberFilter[MixtureState]):
         times = (given,) * len(self.modes) if isinstance(given, int | float) else tuple(given)
         numbers = all(isinstance(time, int | float) and 0.0 < time < torch.inf for time in times)
         if len(times) != len(self.modes) or not numbers:
-            message = f"dwell: expected a time > 0, or {len(self.modes)} of them; received {given!r}"
+            message = f"dwell: expected a time > 0, or {len(self.modes)} times; received {given!r}"
             raise UserError(message)
         object.__setattr__(self, "dwell", times)
 

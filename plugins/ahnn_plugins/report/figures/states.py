@@ -94,7 +94,7 @@ def _band(task: Task, run: Kept) -> Drawing:
         series = (curve(name, run.time, error[:, i], slot=run.slot, band=band),)
         panels.append(Panel(series, time_label(run), f"error of {label}"))
     title = f"error of {run.entry.model} in the band of its prediction, true start"
-    caption = f"The first test trajectory of {run.entry.folder.name}; the band is of the learned parameters."
+    caption = f"{run.entry.folder.name}, first test trajectory; band: uncertainty of learned parameters."
     return task.drawing(f"band_{run.slot}", title, caption, panels)
 
 
