@@ -78,7 +78,7 @@ def guard(entry: Callable[[], Any]) -> int:
         if not isinstance(error, OSError):
             raise
         if isinstance(error, BrokenPipeError):
-            return 141  # 128 + SIGPIPE, a signal that Windows does not know
+            return 141  # 128 + SIGPIPE, a signal that Windows lacks
         place = f"file {error.filename}" if error.filename else "standard output or a file"
         return report(f"{place}: {error.strerror or error}")
     return 0

@@ -87,7 +87,7 @@ def check_trajectories(given: Trajectories, space: Space) -> Trajectories:
         raise UserError(message)
     unknown = trajectories.times.isnan()
     if bool((unknown[:, :-1] & ~unknown[:, 1:]).any()):
-        message = "times: expected one for each sample, NaN only after the last; received NaN before another"
+        message = "times: expected NaN only after the last sample of a trajectory; received NaN before a time"
         raise UserError(message)
     return trajectories
 
