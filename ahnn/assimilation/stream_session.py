@@ -132,7 +132,7 @@ class StreamSession:
         self.state, self.every = state, every
         self.counts: Counter[str] = Counter()
         self.nis, self.numbers = 0.0, 0
-        self.disordered = 0  # late lines of this command after the start
+        self.disordered = 0  # late lines of this command, timed after the start
         self.layout: Layout | None = None
         self.header, self.path = "", output
         self.beside = None if output == "-" or rows.said is None else Path(output)
