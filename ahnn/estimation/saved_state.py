@@ -31,7 +31,7 @@ class SavedPart(NamedTuple):
     """Requirements on a tensor of a state: finite, and within limits.
 
     Attributes:
-        axes: axes by B members and D components.
+        axes: B for members, D for components.
         dtype: required dtype.
         least, most: inclusive limits of each number.
     """

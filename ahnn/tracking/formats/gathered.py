@@ -91,7 +91,7 @@ def gathered(
     Args:
         name: name of the satellite.
         readings: readings in any order; the first sets time zero.
-        event: event tagged by their times.
+        event: event tagged by the times.
         remarks: remarks on unused content of the file.
     """
     ranked = sorted(readings, key=lambda one: one.moment)
