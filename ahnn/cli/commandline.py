@@ -252,8 +252,8 @@ def check_recipe(cfg: DictConfig, overrides: Iterable[str]) -> None:
         message = (
             "data.noise: expected a recipe for noisy measurements; received noise with a recipe for exact "
             "samples. Use recipe=measurements, recipe=noisy_states for dense samples of states, "
-            "recipe=dense_states for dense samples of orbits, or an option of sensor, which selects a "
-            "recipe, sensor=recorded for files"
+            "recipe=dense_states for dense samples of orbits, or an option of sensor (sensor=recorded "
+            "for files), which selects a recipe"
         )
         raise UserError(message)
 
