@@ -9,7 +9,7 @@
     space = ahnn.Space("cart", ("q", "p"))
     run = ahnn.fit(data, space, ["model=hnn"], folder="runs/cart")
 
-    # a torch module, for a loop of your own
+    # a torch module, for your own training loop
     model = ahnn.Hamiltonian(dof=1, hidden=64, data=data)
     run = ahnn.save(model, space, dt=0.1, folder="runs/mine")
 
@@ -22,7 +22,7 @@ import os
 import sys
 
 # Before any other import: `python -m` puts the working directory first on the path, so modules in it would be
-# imported in place of libraries and as plugins. The directory may belong to somebody else
+# imported in place of libraries and as plugins. The directory may belong to another user
 # (docs/extending.md).
 _names_us = any(word.removeprefix("-m").partition(".")[0] == __name__ for word in sys.orig_argv[1:])
 _is_command = _names_us and sys.argv[:1] == ["-m"]  # while `-m` looks up its module

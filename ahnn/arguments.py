@@ -133,7 +133,7 @@ def check_arguments(
     """Check that keyword arguments are complete for a class or function, and within their limits.
 
     Args:
-        who: name of the configuration node, for the message; "" names the argument alone.
+        who: name of the configuration node, for the message; "": only the argument is named.
         target: class or function that will receive the arguments.
         arguments: plain values.
         given: names of arguments that the user may not set.

@@ -22,13 +22,13 @@ objects=COLUMN      column with the object of each line (CSV or Parquet), for in
                     a table of their states, or one for all; every=N lines form a batch (100,000)
 shard=2/8           only the objects of the second of eight workers, selected by name
 states=FILE         final states of the objects, usable as start of ahnn.predict: .csv, .parquet, .oem
-window=SECONDS      measurements late by up to this are merged by replay; lines=N is the most kept for it
-lag=SECONDS         each line also has the estimate this long before, smoothed with the measurements since
+window=SECONDS      measurements late by up to this are merged by replay; at most lines=N are kept
+lag=SECONDS         each line also contains the estimate for this much earlier, smoothed with later lines
 measurement=NAME    measurement model; for several sensors +measurement@sensors.NAME=OPTION for each
 measurement.bias_sd=NUMBER      estimate the bias of the sensor; bias_memory=TIME lets it drift
 plugins=NAME        the filter; plugins.ukf.process_noise is Q
-gate=0.999999       probability beyond which a measurement is rejected; the gate reopens after five rejections
-                    in a row (plugins.ukf.patience=5); gate=none accepts all
+gate=0.999999       probability beyond which a measurement is rejected; the gate reopens after five
+                    consecutive rejections (plugins.ukf.patience=5); gate=none accepts all
 watch=true          a live view of state, 3 sigma, innovations and NIS on standard error; or --watch
 figures=FOLDER      innovations, consistency and deviations at the end
 oem=FILE            .oem or .xml: an ephemeris message at the end, of object=NAME
@@ -51,7 +51,7 @@ USAGE = (
 
 
 def assimilate(arguments: list[str]) -> None:
-    """Assimilate the stream named on the command line; raises as `cli.stream` and `jobs.assimilating`."""
+    """Assimilate the stream of a command line; raises errors of `cli.stream` and `jobs.assimilating`."""
     with importing():
         from ahnn.cli.stream import read_stream
         from ahnn.jobs import assimilating

@@ -5,11 +5,11 @@ NAME...             two_bodies, three_bodies, noisy_spring, noisy_pendulum, one_
                     points_fermi_pasta, points_double_pendulum, map_pendulum,
                     map_double_pendulum, map_three_bodies, or all
 models=[A,B]        subset of a task's models; default: all
-draws=10            number of random data sets and starts, each with its own training
-jobs=1              number of parallel trainings
-output=FOLDER       default runs/benchmark: a run folder and a score for each training
+draws=10            number of random data sets and starts, each with a separate training run
+jobs=1              number of parallel training runs
+output=FOLDER       default runs/benchmark: a run folder and a score for each training run
 
-Finished trainings are kept: repeat the command to resume, and to print the complete table.
+Finished runs are kept: repeat the command to resume, and to print the complete table.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Check uncertainty bands over many draws: `python -m ahnn.calibrate experiment=spring_noisy draws=20`.
 
 KEY=VALUE           as for ahnn.train; the data must be measurements of a system
-draws=20            number of draws of constants, starts, noise and weights, each with its own training
+draws=20            number of draws of constants, starts, noise and weights, each with a separate training run
 spread=0.1          standard deviation of the logarithms of the system's constants; 0 keeps them
-jobs=1              number of parallel trainings
+jobs=1              number of parallel training runs
 output=FOLDER       default runs/calibration: a run folder and a score for each draw, and calibration.png
 
 Finished draws are kept: repeat the command to resume, and to print the complete table.
@@ -18,7 +18,7 @@ from ahnn.cli.importing import importing
 
 
 def calibrate(arguments: list[str]) -> None:
-    """Train on the draws that a command line asks for, and test them; raises as `cli.calibrating`."""
+    """Train on the draws of a command line, and test them; raises the errors of `cli.calibrating`."""
     with importing():
         from ahnn.cli import calibrating
 

@@ -39,9 +39,8 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:  # torch's own message explains how to execute the content
         message = (
-            f"checkpoint {path}: expected tensors and plain values; received objects that only code in "
-            "the file could restore, which ahnn never executes. Train again, or use a checkpoint "
-            "written by ahnn"
+            f"checkpoint {path}: expected tensors and plain values; received objects that only code in the "
+            "file could restore, which ahnn never executes. Train again, or use a checkpoint written by ahnn"
         )
         raise UserError(message) from error
     except Exception as error:  # torch and zipfile raise many types for a damaged file
@@ -132,7 +131,9 @@ def read_weights(path: Path) -> Weights:
         message = f"weights {path}: expected format {FORMAT}; received {received}. Train again"
         raise UserError(message)
     if wrong := [name for name, value in state.items() if not _is_dense(value)]:
-        message = f"weights {path}: expected tensors of real numbers; received others: {', '.join(wrong)}"
+        message = (
+            f"weights {path}: expected tensors of real numbers; received other values for {', '.join(wrong)}"
+        )
         raise UserError(message)
     return Weights(state, about)
 
@@ -205,5 +206,5 @@ def require_same(who: str, expected: dict[str, Any], received: dict[str, Any]) -
         if wanted.get(key) != found.get(key)
     ]
     if rows:
-        message = f"{who}: it belongs to another training:\n" + "\n".join(rows)
+        message = f"{who} belongs to a different training run:\n" + "\n".join(rows)
         raise UserError(message)

@@ -31,7 +31,7 @@ class Clock(NamedTuple):
 
     @classmethod
     def of(cls, times: Tensor, controls: Tensor | None, linear: bool = False) -> Clock:
-        """Return the clock of samples at times (..., T) with controls (..., T, m), valid from each sample on.
+        """Return the clock of samples at times (..., T); controls (..., T, m) are valid from their samples.
 
         Args:
             times: sample times, (..., T).
@@ -53,11 +53,11 @@ class Clock(NamedTuple):
         return Clock(self.values[..., :count], self.rates[..., :count])
 
     def of_steps(self) -> Clock:
-        """Return the clock at the start of every step, (B (T - 1), k), from that of samples, (B, T, k)."""
+        """Return the clock at the start of every step, (B (T - 1), k), from a clock of samples, (B, T, k)."""
         return Clock(*(part[:, :-1].flatten(0, 1) for part in self))
 
     def along(self, lengths: Tensor, ends: Tensor) -> Clock:
-        """Return the clock at the start of N integrator steps, (..., N, k), from that of samples (..., T, k).
+        """Return the clock at the start of N integrator steps, (..., N, k), from samples' (..., T, k).
 
         Args:
             lengths: (N,) step lengths.

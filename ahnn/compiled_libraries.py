@@ -53,8 +53,8 @@ def compiled_library(
 ) -> ctypes.CDLL | None:
     """Return the library of a source, or None where there is no C compiler.
 
-    The compiler is `$CC`, or else `cc`. The library is kept in the user's cache, in a folder writable by its
-    owner alone, and verified bit for bit. A compiler that fails or hangs causes one warning.
+    The compiler is `$CC`, or else `cc`. The library is kept in the user's cache, in a folder writable only by
+    its owner, and every bit is verified. A compiler that fails or hangs causes one warning.
 
     Args:
         source: path of the C file.
@@ -111,7 +111,7 @@ def _built(source: Path, command: list[str]) -> ctypes.CDLL:
         _compile([*command, "-o", str(made), str(source), "-lm"])
         content = read_whole(made, LARGEST)
         if own:
-            with contextlib.suppress(OSError):  # for example a full disk: this process alone uses the library
+            with contextlib.suppress(OSError):  # e.g. a full disk: then only this process uses the library
                 write_cached(path, content + _seal(content, key))
         return ctypes.CDLL(str(made))
 
@@ -175,7 +175,7 @@ def plain(t: Tensor, dtype: torch.dtype) -> bool:
 
 
 def numbers_alone(x: Tensor, dt: TimeStep) -> bool:
-    """Return whether float64 CPU states (B, D) need values only, without derivatives."""
+    """Return whether float64 CPU states (B, D) need only values, not derivatives."""
     if followed():
         return False
     steps = (dt,) if isinstance(dt, Tensor) else ()

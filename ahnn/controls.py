@@ -20,7 +20,7 @@ class ControlTable(NamedTuple):
 
     Attributes:
         times: (T,) increasing.
-        values: (T, m), valid from each time on; (B, T, m) for B members.
+        values: (T, m), each valid from its time; (B, T, m) for B members.
         linear: whether values are interpolated linearly instead of held.
     """
 
@@ -42,7 +42,7 @@ class ControlTable(NamedTuple):
         return cls(moments, given, linear)
 
     def begun(self, times: Tensor, near: float = 0.0) -> tuple[Tensor, Tensor]:
-        """Return values and rates (..., K, m) valid from each of K times on.
+        """Return values and rates (..., K, m) valid from each of K times.
 
         Outside the table the first or last controls apply.
 
@@ -69,7 +69,7 @@ class ControlTable(NamedTuple):
         near = NEAR * float(times[-1] - times[0])
         if float(times[0]) < float(self.times[0]) - near:
             message = (
-                f"controls: expected values from the start on, at {float(times[0]):g}; received the first at "
+                f"controls: expected values at the start, time {float(times[0]):g}; received the first at "
                 f"{float(self.times[0]):g}"
             )
             raise UserError(message)

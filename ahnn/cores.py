@@ -1,7 +1,7 @@
 """Parallel execution of a computation in parts, on the cores available to the process.
 
-The division depends on the work alone, and each part runs in one thread: results are bitwise identical on any
-number of cores, and a training resumed elsewhere is unchanged. Threads inside an operation guarantee neither,
+The division depends only on the work, and each part runs in one thread: results are bitwise identical on any
+number of cores, and a run resumed elsewhere is unchanged. Threads inside an operation guarantee neither,
 and on shared cores they wait for each other in busy loops.
 """
 

@@ -72,7 +72,7 @@ def atomic_file(path: Path, mark: str = "") -> Iterator[BinaryIO]:
             yield file
             file.flush()
             os.fsync(file.fileno())
-            if sys.platform == "win32":  # it renames no open file
+            if sys.platform == "win32":  # Windows cannot rename an open file
                 file.close()
             temporary.replace(path)
         except BaseException as error:
@@ -95,7 +95,7 @@ def _unfinished(path: Path, mark: str) -> tuple[Path, BinaryIO]:
 
 
 def _remove_unfinished(folder: Path, known: dict[str, set[str]] | None) -> None:
-    """Remove temporary files of terminated writers; in a results folder only those in the manifest."""
+    """Remove temporary files of terminated writers; in a results folder only files in the manifest."""
     for path in folder.glob(".*.tmp"):
         found = UNFINISHED.fullmatch(path.name)
         if not found or path.is_symlink() or not path.is_file():
@@ -104,7 +104,7 @@ def _remove_unfinished(folder: Path, known: dict[str, set[str]] | None) -> None:
             continue
         with contextlib.suppress(OSError), path.open("r+b") as file:  # it is gone, or its writer is alive
             lock(file, wait=False)
-            path.unlink()  # refused by Windows, where the file stays
+            path.unlink()  # not possible on Windows, where the file stays
 
 
 @contextlib.contextmanager

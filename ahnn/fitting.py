@@ -33,7 +33,7 @@ def fit(
         trajectories: states (B, T, 2n) and times (B, T) or (T,), NaN marks missing samples; positions (B, T,
             n) where momenta are unknown.
         space: names, units and inertia of the state components.
-        overrides: as on the command line, such as "model=hnn", "window=3", "trainer.max_epochs=50".
+        overrides: overrides as on the command line, such as "model=hnn", "window=3", "trainer.max_epochs=50".
         folder: new folder of the run.
 
     Raises:
@@ -85,7 +85,7 @@ def check_given(overrides: Sequence[str], folder: str | Path) -> list[str]:
         key = override.key_or_group
         if key not in READ and key.replace("/", ".").split(".")[0] in ("system", "hydra", *ELSEWHERE):
             message = (
-                "fit: expected the data as `trajectories` and the folder as `folder`, and one training; "
+                "fit: expected the data as `trajectories` and the folder as `folder`, and one training run; "
                 f"received {override.input_line}"
             )
             raise UserError(message)

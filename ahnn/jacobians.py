@@ -18,7 +18,7 @@ def pointwise_jacobian(function: Callable[[Tensor], Tensor], x: Tensor) -> Tenso
     """Return df/dx, shape (..., M, D), of a function that maps each x (..., D) to its own f (..., M)."""
     # Adds zero times x: where f does not depend on x, the process would crash (torch 2.13).
     along = lambda z: function(z) + 0.0 * z.sum(-1, keepdim=True)  # noqa: E731
-    value, back = vjp(along, x)  # pyright: ignore[reportAssignmentType] - three with has_aux alone
+    value, back = vjp(along, x)  # pyright: ignore[reportAssignmentType] - three values only with has_aux
     unit = torch.eye(value.shape[-1]).to(value)
     return vmap(lambda row: back(row.expand_as(value))[0], out_dims=-2)(unit)
 

@@ -6,7 +6,7 @@ from ahnn.errors import UserError
 from ahnn.types import Space
 
 KILOGRAMS = {"m": "kg m/s", "rad": "kg m²/s"}
-"""Unit of a momentum by that of its position, with energies in J and times in s."""
+"""Unit of a momentum by the unit of its position, with energies in J and times in s."""
 
 
 def quantity(space: Space, name: str) -> tuple[str, str]:
@@ -63,7 +63,7 @@ def require_velocities(space: Space, who: str) -> None:
     """Raise UserError for reading or writing velocities where momenta are not mass times velocity."""
     if not space.mechanical:
         message = (
-            f"{who}: expected momenta equal to mass times velocity; received {space.name}, whose momenta "
-            "are not. Use a table"
+            f"{who}: expected momenta equal to mass times velocity; received {space.name}, where they "
+            "differ. Use a table"
         )
         raise UserError(message)

@@ -80,8 +80,8 @@ def require_last(folder: Path, about: dict[str, Any]) -> None:
     monitor = flatten(about).get("settings.callbacks.best.monitor")
     if monitor is not None and about.get("val_loss") is not None:
         message = (
-            f"run {folder}: expected checkpoints/best.ckpt, the weights of the smallest {monitor}; received "
-            "none. ckpt=last takes the last weights"
+            f"run {folder}: expected checkpoints/best.ckpt, the weights with the smallest {monitor}; "
+            "received none. ckpt=last takes the last weights"
         )
         raise UserError(message)
     log.warning("run %s: no validation chose the best weights; the last ones are used", folder)
@@ -107,7 +107,10 @@ def made(weights: Weights, folder: Path) -> Run:
         dynamics.double().load_state_dict(weights.state)
     except RuntimeError as error:
         reason = " ".join(str(error).split())
-        message = f"run {folder}: expected the weights of its model; received others ({reason})"
+        message = (
+            f"run {folder}: expected the weights of its model; received weights of a different model "
+            f"({reason})"
+        )
         raise UserError(message) from error
     if not all(bool(tensor.isfinite().all()) for tensor in weights.state.values()):
         message = f"run {folder}: expected finite weights; received nan or inf. Take another checkpoint"
@@ -119,5 +122,7 @@ def require_controls(clock: int, space: Space) -> None:
     """Raise UserError for dynamics with k = `clock` clock coordinates other than the space's controls."""
     if clock > 1 and clock - 1 != len(space.controls):
         names = ", ".join(space.controls) or "none"
-        message = f"space.controls: expected names of {clock - 1}, those of the dynamics; received {names}"
+        message = (
+            f"space.controls: expected {clock - 1} names, for the controls of the dynamics; received {names}"
+        )
         raise UserError(message)

@@ -95,7 +95,7 @@ def require_own(paths: Iterable[Path], who: str) -> None:
 
 
 def remove_own(path: Path) -> None:
-    """Remove a file if we wrote it, and the manifest with its last file; leave all others unchanged."""
+    """Remove a file if we wrote it, and the manifest with its last file; leave all other files unchanged."""
     if is_own(path):
         path.unlink(missing_ok=True)
         if not any(path.with_name(name).exists() for name in recorded(path.parent)):
@@ -138,7 +138,7 @@ def require_plain(folder: Path) -> None:
 
 
 def own_folder(folder: Path) -> Path:
-    """Create and return a folder whose name we choose, such as `figures`; raises as `require_plain`."""
+    """Create and return a folder whose name is ours, such as `figures`; raises errors of `require_plain`."""
     require_plain(folder)
     folder.mkdir(parents=True, exist_ok=True)
     return folder

@@ -80,7 +80,7 @@ def require_memory(who: str, what: str, size: float, remedy: str = "Reduce it") 
         who: the parameters that determine the size, for the message.
         what: description of the data, for the message.
         size: estimate in bytes.
-        remedy: for the message.
+        remedy: remedy in the message.
 
     Raises:
         UserError: the estimate exceeds the available memory.

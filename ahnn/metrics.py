@@ -96,7 +96,7 @@ def score(
 def moving_average(series: Tensor, width: int) -> Tensor:
     """Return the trailing mean over the last min(k, width) values, shape (T,) (paper, appendix).
 
-    NaN values are ignored; the mean is NaN for a window of NaN alone, and inf for a window with an inf.
+    NaN values are ignored; the mean is NaN for a window of only NaN, and inf for a window with an inf.
     """
     there, lost = ~series.isnan(), series.isinf()
     values = series.masked_fill(~there | lost, 0.0)

@@ -1,6 +1,6 @@
 """Papers for the methods that a run used: `ahnn.citations`.
 
-`papers.bib` has the entries; the table here says which belong to which method.
+`papers.bib` contains the entries; the table here assigns them to methods.
 """
 
 from __future__ import annotations
@@ -106,8 +106,8 @@ class Citations(NamedTuple):
     """Papers to cite, each with the methods that it describes. Printing shows them as text.
 
     Attributes:
-        methods: by key of a paper.
-        papers: in alphabetical order of their keys.
+        methods: methods by key of a paper.
+        papers: papers in alphabetical order of their keys.
     """
 
     methods: dict[str, list[str]]
@@ -152,7 +152,7 @@ def methods(dynamics: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]
 
     Args:
         dynamics: description of the dynamics, as in their weights.
-        config: of the training; empty for dynamics that were trained elsewhere.
+        config: configuration of the training; empty for dynamics trained elsewhere.
     """
     return ["ahnn", *_of_dynamics(dynamics), *_of_training(dynamics, config), *_of_plugins(config)]
 
@@ -209,7 +209,7 @@ def _of_plugins(config: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _classes(*options: Mapping[str, Any]) -> list[str]:
-    """Return the names of the classes that options name."""
+    """Return the names of the classes named by options."""
     return [one["_target_"].rpartition(".")[2] for one in options if "_target_" in one]
 
 

@@ -16,7 +16,7 @@ def conf_dir() -> Path:
     for candidate in (package / "conf", package.parent / "conf"):
         if (candidate / "train.yaml").is_file():
             return candidate
-    message = f"expected conf/train.yaml in or beside {package}; received neither. Install ahnn again."
+    message = f"expected conf/train.yaml in {package} or next to it; received neither. Install ahnn again."
     raise FileNotFoundError(message)
 
 

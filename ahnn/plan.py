@@ -8,11 +8,11 @@ pretrained=NAME     a model shipped with the package
 ckpt=best           the weights: best, last, or a path
 start=FILE          state from which measurements can be taken, or numbers in the model's units
 start_sd=[..]       its standard deviations: [position,velocity], or one for each component
-duration=1d         time in which measurements can be taken, from the start on
+duration=1d         time in which measurements can be taken, after the start
 every=1min          interval between measurements
 at=3d               time of the forecast after the start; default: the end of the duration
 choose=4            number of sessions
-session=30min       longest session of a station; default: a whole pass
+session=30min       longest session of a station; default: a full pass
 stations=FILE       ground stations with noise, biases and masks (docs/assimilate.md)
 position_sd=0.02    instead, the standard deviation of position fixes; each is a session
 output=FILE.csv     the plan in order of choice; default: only a summary
@@ -34,7 +34,7 @@ USAGE = (
 
 
 def plan(arguments: list[str]) -> None:
-    """Plan as requested on the command line; raises as `jobs.planning`."""
+    """Plan as requested on the command line; raises the errors of `jobs.planning`."""
     with importing():
         from ahnn.cli.pairs import read_pairs
         from ahnn.jobs import planning

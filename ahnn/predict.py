@@ -1,6 +1,6 @@
 """Predict with learned dynamics: `python -m ahnn.predict run=DIR start=FILE duration=1d output=orbit.csv`.
 
-run=DIR             a run folder, or [A,B,C]: the mean of several trainings, with their spread
+run=DIR             a run folder, or [A,B,C]: the mean of several runs, with their spread
 pretrained=NAME     a model shipped with the package
 ckpt=best           the weights: best, last, or a path
 start=FILE          first sample of each trajectory in a file (docs/data.md), an element set, or output
@@ -9,7 +9,7 @@ start_sd=[..]       standard deviations of the start, one per component (q and p
                     or [position,velocity]; default: the covariance in FILE, or none
 controls=FILE       for a model with controls: a table of time and controls, or constants
 duration=1d         duration with a unit, or a number in the model's unit of time
-step=90min          interval of predicted states; default: that of the training
+step=90min          interval of predicted states; default: the training interval
 output=FILE         .csv, .parquet, .oem or .xml; default: only a summary
 figure=FILE         .png or .svg
 epoch=2024-03-01T12:00:00       epoch of time zero, unless the start has dates
@@ -29,7 +29,7 @@ USAGE = (
 
 
 def predict(arguments: list[str]) -> None:
-    """Predict as requested on the command line; raises as `jobs.predicting`."""
+    """Predict as requested on the command line; raises the errors of `jobs.predicting`."""
     with importing():
         from ahnn.cli.pairs import read_pairs
         from ahnn.jobs import predicting

@@ -35,8 +35,8 @@ def rollout(
         flow: map of a state over one step.
         start: (B, D) initial states.
         dt: time step, or (B, samples - 1) step lengths.
-        samples: number of samples of the result, start included.
-        description: text of the progress bar, or None for no bar.
+        samples: number of samples of the result, including the start.
+        description: text of the progress bar; None: no bar.
         longest: maximum step of the flow; longer steps are divided into equal parts.
         gradients: whether to keep gradients through the result, at a cost in time and memory.
         clock: time and controls of the samples, (B, samples, k) or (samples, k), for a flow that depends on
@@ -55,7 +55,7 @@ def rollout(
     own = clock.first(count) if count and clock is not None else None
     with torch.set_grad_enabled(gradients):
         states = _steps(flow, start, dt, samples, description, longest, own)
-        if gradients:  # rows written in place would each copy the whole gradient on the way back
+        if gradients:  # each row written in place would copy the entire gradient in the backward pass
             return torch.stack(list(states), dim=1)
         out = start.new_empty(start.shape[0], samples, start.shape[1])
         for k, x in enumerate(states):

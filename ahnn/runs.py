@@ -78,7 +78,7 @@ class Run:
         return f"<p><code>{html.escape(repr(self))}</code></p>{scores}"
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Run:
-        """Return the run on a device and with parameters of a type; this one stays as it is.
+        """Return the run on a device and with parameters of a type; this one is unchanged.
 
         `flow`, `energy` and `rollout` compute in this type; `predict`, `band` and `novelty` always in
         float64, which the device must support.
@@ -92,7 +92,7 @@ class Run:
 
     @property
     def trained(self) -> Dynamics:
-        """The dynamics before a last step over functions, whose effect parameters cannot express."""
+        """The dynamics before the final step in function space, which parameters cannot express."""
         before = self.uncertainty and self.uncertainty.before
         return before[0] if before else self.dynamics
 
@@ -131,7 +131,7 @@ class Run:
         start_time: float = 0.0,
         controls: Numbers | None = None,
     ) -> Tensor:
-        """Return predicted trajectories, shape (B, steps + 1, 2n), start included.
+        """Return predicted trajectories, shape (B, steps + 1, 2n), including the start.
 
         Gradients flow to the start, the steps and the parameters that require them.
 
@@ -152,7 +152,7 @@ class Run:
         return rollout(self.dynamics, x, lengths, steps + 1, gradients=gradients, clock=clock)
 
     def band(self, start: Numbers, steps: int, dt: Numbers | None = None) -> Tensor:
-        """Return standard deviations of `rollout` from parameters alone, shape (B, steps + 1, 2n).
+        """Return standard deviations of `rollout` from parameters only, shape (B, steps + 1, 2n).
 
         Args:
             start: (B, 2n) or (2n,) states, in the units of the space.
@@ -164,8 +164,8 @@ class Run:
         """
         if self.uncertainty is None:
             message = (
-                f"band: expected {FILE} in {self.folder}, of these weights; received none. Only a "
-                "training on measurements writes it, for its best weights"
+                f"band: expected {FILE} in {self.folder}, of these weights; received none. Only training on "
+                "measurements writes it, for the best weights"
             )
             raise UserError(message)
         dt = self.dt if dt is None else dt
@@ -183,7 +183,7 @@ class Run:
             UserError: the weights contain no representative training states.
         """
         if self.domain is None:
-            message = "novelty: expected weights with their training domain; received old ones. Train again"
+            message = "novelty: expected weights with their training domain; received none. Train again"
             raise UserError(message)
         return self.domain.novelty(self._exact, states_of(x, "x", self.dynamics, self.space).double())
 
@@ -200,13 +200,13 @@ class Run:
     ) -> Prediction:
         """Return predicted states at given times, with covariance and novelty where available.
 
-        Gradients of the states flow to the start and the parameters that require them; covariance and
-        novelty have none.
+        Gradients of the states flow to the start and the parameters that require them; covariance and novelty
+        are not differentiable.
 
         Args:
             start: (B, 2n) or (2n,) states at the first of the times, in the units of the space.
             times: (T,) increasing, in its unit of time; internal steps are at most the training step.
-            description: text of the progress bar, or None for no bar.
+            description: text of the progress bar; None: no bar.
             start_sd: standard deviations of the starts, 2n, or one for positions and one for velocities where
                 n > 1; by default starts are exact.
             start_covariance: alternative to `start_sd`, (2n, 2n) or (B, 2n, 2n).
@@ -240,7 +240,7 @@ class Run:
             options: further arguments of `predict`.
 
         Raises:
-            UserError: as for `predict`, several starts, or no start where training states are unknown.
+            UserError: the errors of `predict`, several starts, or no start where training states are unknown.
         """
         from ahnn.prediction.figure import PLOTTED, prediction_figure
 
@@ -257,7 +257,7 @@ class Run:
         """Return the uncertainty of the parameters, and of starts with a covariance (2n, 2n) or (B, 2n, 2n).
 
         Raises:
-            UserError: an invalid covariance, or a damaged file of that of the parameters.
+            UserError: an invalid covariance, or a damaged file of the parameters' covariance.
         """
         known = Knowledge(self.uncertainty and self.uncertainty.spread, self.domain)
         if start_covariance is None:

@@ -1,4 +1,4 @@
-"""Dynamics that were trained in a loop of one's own, saved as a run."""
+"""Dynamics trained in the user's own loop, saved as a run."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def save(
     `ahnn.load` and the commands that predict, assimilate and export take the folder.
 
     Args:
-        dynamics: dynamics of `ahnn.Hamiltonian` and its like.
+        dynamics: dynamics built by `ahnn.Hamiltonian` or similar.
         space: names, units and inertia of the state components.
         dt: sampling interval of the training data, the longest step of predictions.
         folder: new folder.
@@ -36,12 +36,12 @@ def save(
         UserError: a folder with content, weights that are not finite, or a space or data of other states.
     """
     if not isinstance(dynamics, Dynamics) or not hasattr(dynamics, "spec"):
-        message = f"dynamics: expected those of ahnn.Hamiltonian or its like; received {described(dynamics)}"
+        message = f"dynamics: expected an ahnn.Hamiltonian or similar; received {described(dynamics)}"
         raise UserError(message)
     check_space(space)
     target, known = Path(folder), dynamics.frozen().cpu()
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        message = f"folder: expected a new one; received {target}, which contains files"
+        message = f"folder: expected a new folder; received {target}, which contains files"
         raise UserError(message)
     about = {"format": FORMAT, "dynamics": known.spec, "space": about_space(space), "dt": float(dt)}
     made(Weights(known.state_dict(), about), target)

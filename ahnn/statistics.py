@@ -18,7 +18,7 @@ class Statistics(NamedTuple):
     """Statistics of the training split; tensors are (D,) float64, in physical units, unless said otherwise.
 
     Attributes:
-        minimum, maximum: of each state component.
+        minimum, maximum: bounds of each state component.
         increment: root mean square of each component of x_{k+1} - x_k.
         rate: root mean square of each component of (x_{k+1} - x_k) / dt.
         radius: (2,) extremes of the distance |q| from the origin.

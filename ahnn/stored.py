@@ -96,7 +96,8 @@ def read_about(who: str, content: Any) -> tuple[About, Space]:
     """Read the metadata of weights and the description of their state space.
 
     Raises:
-        UserError: a field is missing, of the wrong type, outside its limits, or inconsistent with the others.
+        UserError: a field is missing, of the wrong type, outside its limits, or inconsistent with another
+            field.
     """
     about = read(who, About, content)
     made = read(f"{who}.dynamics", Made, {"dof": 1, **about.dynamics})
@@ -109,7 +110,7 @@ def read_about(who: str, content: Any) -> tuple[About, Space]:
         raise UserError(message)
     if len({*names, *said.controls, ""}) <= len(names) + len(said.controls):
         message = (
-            f"{who}.space.controls: expected different names from components; received "
+            f"{who}.space.controls: expected different names, none a component; received "
             f"{str(said.controls)[:200]}"
         )
         raise UserError(message)

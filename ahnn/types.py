@@ -38,7 +38,7 @@ class VectorField(Protocol):
 
 @runtime_checkable
 class SeparableField(Protocol):
-    """Vector field of a separable Hamiltonian T(p) + V(q): dq/dt depends on p alone, dp/dt on q alone."""
+    """Vector field of a separable Hamiltonian T(p) + V(q): dq/dt depends only on p, dp/dt only on q."""
 
     def __call__(self, x: Tensor) -> Tensor:
         """Return dx/dt, shape (..., D), at the states x, shape (..., D)."""
@@ -83,7 +83,7 @@ class Space(NamedTuple):
     Attributes:
         name: name of the system, in folders and tables.
         components: names of the 2n state components, positions first.
-        units: of time, position, velocity and energy.
+        units: units of time, position, velocity and energy.
         inertia: the factor m of p = m dq/dt, or one for each coordinate; momenta divided by it are
             velocities.
         frame: reference frame of the positions, such as `EME2000, EARTH`; "" if unspecified.
@@ -157,7 +157,7 @@ class Trajectories(NamedTuple):
     Attributes:
         states: (B, T, D) float64; a sample with any NaN is missing.
         times: (B, T) float64, increasing in each row; NaN only where the sample is missing.
-        controls: (B, T, m) float64, valid from each sample on; None without controls.
+        controls: (B, T, m) float64, each valid from its sample; None without controls.
         linear: whether controls are interpolated linearly between samples instead of held.
     """
 

@@ -1,4 +1,4 @@
-"""Learnable dynamics in one call, as torch modules for a training loop of your own.
+"""Learnable dynamics in one call, as torch modules for your own training loop.
 
     model = ahnn.Hamiltonian(dof=2, hidden=64, data=trajectories)
     optimizer = torch.optim.AdamW(model.parameters())
@@ -65,8 +65,8 @@ def Hamiltonian(
         inertia: m of `mechanical`, one or one for each coordinate.
         inputs: cartesian, isotropic, radial or angles.
         scaling: block, minmax or none.
-        integrator: name of a method in `ahnn.integrators`; leapfrog and its like need a separable H.
-        data: trajectories that set scales and units; without them the network sees states as they are.
+        integrator: name of a method in `ahnn.integrators`; leapfrog and compositions need a separable H.
+        data: trajectories that set scales and units; without them the network receives unscaled states.
         options: further options of `ahnn.dynamics.HamiltonianDynamics`: mu, falloff, dimensions, angular,
             forces, controls.
 
@@ -105,7 +105,7 @@ def Lagrangian(
         data: trajectories that set scales and units.
 
     Raises:
-        UserError: as for `Hamiltonian`.
+        UserError: the errors of `Hamiltonian`.
     """
     options = {"inertia": inertia, "scaling": scaling, "network": _network(hidden, depth, activation)}
     made = make_dynamics("lagrangian", dof=dof, **options, integrator={"name": integrator})
@@ -135,7 +135,7 @@ def NeuralODE(
         data: trajectories that set scales and units.
 
     Raises:
-        UserError: as for `Hamiltonian`.
+        UserError: the errors of `Hamiltonian`.
     """
     options = {"scaling": scaling, "network": _network(hidden, depth, activation)}
     made = make_dynamics("node", dof=dof, **options, integrator={"name": integrator})
@@ -167,7 +167,7 @@ def FlowMap(
         options: further options of the kind: scaling, layers; form and shears of a sympnet; residual of map.
 
     Raises:
-        UserError: as for `Hamiltonian`, or neither a step nor data.
+        UserError: the errors of `Hamiltonian`, or neither a step nor data.
     """
     if dt is None and data is None:
         message = "FlowMap: expected the step of the map as dt, or data to take it from; received neither"

@@ -1,8 +1,8 @@
-"""The filter online: lines a second, latency, memory, kills and restarts, and the batch filter beside it.
+"""The filter online: lines per second, latency, memory, kills and restarts, compared with the batch filter.
 
-Position fixes every 10 s of a Molniya orbit, noise 0.1 km, through the shipped mechanical model (2x32
-network), on one thread. Throughput, latency and memory are of one process that reads a file and writes
-estimates with covariances, its state saved every 1,000 lines. The kills are SIGKILL to the command.
+Position fixes of a Molniya orbit every 10 s, noise 0.1 km, pretrained mechanical model (2x32 network), one
+thread. Throughput, latency and memory belong to one process that reads a file, writes estimates with
+covariances, and saves its state every 1,000 lines. The command is killed with SIGKILL.
 
     python benchmarks/bench_assimilate.py [--lines 100000] [--kills 20] [--kill-lines 10000] [--seed 0]
 """
@@ -37,7 +37,7 @@ START = [0.0, -3145.0, -6173.0, 10.0, 0.0, 0.0]
 
 
 def truth(run: ahnn.Run, lines: int) -> torch.Tensor:
-    """Return positions (lines, 3), every 10 s from 10 s on."""
+    """Return positions (lines, 3), every 10 s, the first at 10 s."""
     minutes = run.rollout(START, steps=lines // 6 + 1)[0]
     parts = [minutes if k == 0 else run.flow(minutes, k * STEP) for k in range(6)]
     return torch.stack(parts, dim=1).reshape(-1, 6)[1 : lines + 1, :3]
@@ -93,7 +93,7 @@ def stream(run: ahnn.Run, folder: Path, lines: int) -> dict[str, Any]:
         "latency of a line [ms], median, 99.9 %, worst (bar 20)": "{:.2f}, {:.2f}, {:.2f}".format(
             *(1e3 * np.quantile(took, [0.5, 0.999, 1.0]))
         ),
-        "resident memory from a tenth on, growth (bar 10 %)": f"{settled[0]:.0f} MB, "
+        "resident memory after a tenth, growth (bar 10 %)": f"{settled[0]:.0f} MB, "
         f"{100 * (max(settled) / settled[0] - 1):.2f} %",
     }
 
@@ -119,7 +119,7 @@ def command(folder: Path, name: str) -> list[str]:
 
 
 def killed(folder: Path, kills: int, seed: int) -> dict[str, Any]:
-    """Kill an assimilation at random moments, and compare what comes out with one that was left alone."""
+    """Kill an assimilation at random moments, and compare its output with an uninterrupted one."""
     whole, out = folder / "whole.out", folder / "parts.out"
     subprocess.run(command(folder, "whole"), check=True, stderr=subprocess.DEVNULL)
     size = whole.stat().st_size
@@ -132,7 +132,7 @@ def killed(folder: Path, kills: int, seed: int) -> dict[str, Any]:
         done += process.wait() == -signal.SIGKILL
     subprocess.run(command(folder, "parts"), check=True, stderr=subprocess.DEVNULL)
     equal = out.read_bytes() == whole.read_bytes()
-    return {f"all estimates after {done} kills equal, bit for bit (bar: the last one)": equal}
+    return {f"all estimates bit-identical after {done} kills (bar: the last estimate)": equal}
 
 
 def beside_batch(run: ahnn.Run, path: Path, count: int = 500) -> dict[str, Any]:
@@ -150,13 +150,13 @@ def beside_batch(run: ahnn.Run, path: Path, count: int = 500) -> dict[str, Any]:
     off = float(((estimate.mean - mean) / mean).abs().max())
     spread = float(((estimate.covariance - covariance) / torch.outer(sd, sd)).abs().max())
     return {
-        f"mean beside the batch filter after {count} lines, relative (bar 1e-12)": f"{off:.1e}",
+        f"mean compared with the batch filter after {count} lines, relative (bar 1e-12)": f"{off:.1e}",
         "covariance, relative to its deviations": f"{spread:.1e}",
     }
 
 
 def main() -> None:
-    """Print figures beside bars."""
+    """Print figures and their bars."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

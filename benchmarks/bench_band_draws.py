@@ -1,15 +1,15 @@
-"""Are bands right? The end of a training on measurements, taken again with other noise each time.
+"""Are bands calibrated? The final steps of training on measurements, repeated with new noise.
 
     python benchmarks/bench_band_draws.py RUN --draws 20
 
-With --anew trajectories are drawn again, too, the unseen ones among them.
+With --anew, training and test trajectories are drawn again, too.
 
-RUN is the folder of a training on simulated measurements. One training is one draw: its errors move together,
-and a band holds nearly all of them or few. So its measurements are drawn again on the same trajectories, from
-its weights functions take their steps to the optimum of these, and the new covariance is held against unseen
-trajectories from their true starts. A row for each draw, and what they come to. Where bands are right, errors
-are 1 in units of the Cramer-Rao bound (rms over the draws), shares within 1, 2 and 3 standard deviations 68,
-95 and 99.7 %, and chi-square of unseen measurements is in its 95 % band in nineteen draws of twenty.
+RUN is the folder of a run trained on simulated measurements. A run is one draw: its errors are correlated, so
+a band contains nearly all of them or few. Therefore measurements on the same trajectories are drawn again,
+the final steps are repeated from the weights of the run, and the new covariance is compared with unseen
+trajectories from their true starts. Each draw is a row, followed by a summary. With calibrated bands, errors
+are 1 in units of the Cramer-Rao bound (rms over the draws), 68, 95 and 99.7 % are within 1, 2 and 3 standard
+deviations, and chi-square of unseen measurements is in its 95 % band in 19 of 20 draws.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Drawn(NamedTuple):
 
 
 def drawn(run: Run, seed: int, *, anew: bool) -> Drawn | None:
-    """Return what the measurements of another seed lead to; None where they explain no trajectory."""
+    """Return the results for measurements of another seed; None if no trajectory is explained."""
     cfg, robust = OmegaConf.create(run.config), robust_of(run)
     source = build_source(cfg)
     cfg.data.seed = seed

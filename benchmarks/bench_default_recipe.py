@@ -1,15 +1,15 @@
-"""Is the default good enough under noise? The recipe of a command and every other.
+"""Is the default recipe good enough under noise? It is compared with all other recipes.
 
     python benchmarks/bench_default_recipe.py --systems pendulum --out commands.csv
     python benchmarks/bench_default_recipe.py --seconds 60 --out minute.csv
 
-Each row is one training with a recipe that the command line names; the default is the one that the experiment
-brings where none is named. By default each is the whole command, in the time that its recipe takes. With
-`--seconds` all have the same CPU time, 625 trajectories and no last steps on all measurements; stages of a
-training, given as fractions of the epochs, are fractions of its time. The error is that of rollouts of unseen
-trajectories from their true start, mean of the rms vector norm, as in every table. Rows are appended as they
-are measured, and those that the file has are not measured again. At the end of each level of noise stands by
-what factor the default is worse than the best of the recipes.
+Each row is one training run with a recipe named on the command line; the default is the recipe of the
+experiment. By default a row is the complete command, in the time that its recipe takes. With `--seconds` all
+runs have the same CPU time, 625 trajectories and no final steps on all measurements; stages, given as
+fractions of the epochs, become fractions of the time. The error is the mean over unseen trajectories of the
+rms vector norm, in rollouts from the true start. Rows are appended as they are measured; rows in the file are
+not measured again. Each level of noise ends with the factor by which the default is worse than the best
+recipe.
 """
 
 from __future__ import annotations
@@ -55,16 +55,16 @@ RECIPES = (
 EPOCHS = 20
 """In which stages are counted; they end when the time does."""
 ENDS = {2: "refused", 3: "inf"}
-"""What exit codes mean: measurements that do not fit the recipe, a training that came to nothing."""
+"""Meaning of exit codes: measurements that do not fit the recipe, a failed training run."""
 WARM = 5.0
-"""Seconds of a training before all others, with what happens once in a process."""
+"""Seconds of a first training run, which includes everything that happens once in a process."""
 
 
 def trained(overrides: list[str], seconds: float) -> float:
-    """Return the error of a training that took so many seconds of CPU time; inf where it came to nothing.
+    """Return the error of a training run of so many seconds of CPU time; inf if it failed.
 
     Raises:
-        UserError: a recipe that the measurements do not fit, or a default that the command line refuses.
+        UserError: a recipe that the measurements do not fit, or a default that the command line rejects.
     """
     with tempfile.TemporaryDirectory() as folder:
         place = [f"folder={folder}", f"run={folder}", "data.trajectories=625"]
@@ -102,7 +102,7 @@ def step(model, objective, batch, optimizer) -> None:
 
 
 def measured(overrides: list[str], seconds: float) -> str:
-    """Return the error of a training as text, `refused` where the measurements do not fit the recipe."""
+    """Return the error of a training run as text, `refused` if the measurements do not fit the recipe."""
     try:
         return f"{trained(overrides, seconds):.4g}"
     except UserError:
@@ -112,7 +112,7 @@ def measured(overrides: list[str], seconds: float) -> str:
 
 
 def commanded(overrides: list[str]) -> tuple[str, str]:
-    """Return the error and the seconds of a whole command, as text; `refused` as in `measured`."""
+    """Return the error and the seconds of a complete command, as text; `refused` as in `measured`."""
     with tempfile.TemporaryDirectory() as folder:
         run = Path(folder, "run")
         asked = [*overrides, "plugins=none", "evaluation=scores", f"run={run}"]
@@ -131,16 +131,16 @@ def brought(overrides: list[str]) -> str:
 
 
 def factor(rows: dict[str, str], default: str) -> float:
-    """Return by what factor the default's error exceeds the least of all recipes."""
+    """Return the factor by which the default's error exceeds the smallest error of all recipes."""
     known = {name: float(error) for name, error in rows.items() if error != "refused"}
     return known[default] / min(known.values())
 
 
 def main() -> None:
-    """Measure what the file does not have, and print the factors."""
+    """Measure all rows missing in the file, and print the factors."""
     kind = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=kind)
-    parser.add_argument("--seconds", type=float, help="CPU time of each training, in place of whole commands")
+    parser.add_argument("--seconds", type=float, help="CPU time of each run, instead of complete commands")
     parser.add_argument("--seeds", type=int, nargs="+", default=[7, 201, 719])
     parser.add_argument("--systems", nargs="+", default=list(LEVELS), choices=LEVELS)
     parser.add_argument("--recipes", nargs="+", default=list(RECIPES), choices=RECIPES)

@@ -1,9 +1,9 @@
-"""What was wrong with measurements against what is said of it: a table of simulated cases.
+"""Defects of measurements and their diagnoses: a table of simulated cases.
 
     python benchmarks/bench_diagnosis.py [--cases 200] [--seed 0]
 
-Exact dynamics, or dynamics with one wrong constant, are held against positions of a spring, a pendulum or
-Hénon-Heiles, whose noise has one defect or none. Rows are what was wrong, columns what was said.
+Exact dynamics, or dynamics with one wrong constant, are compared with positions of a spring, a pendulum or
+Hénon-Heiles, whose noise has one defect or none. Rows are defects, columns are diagnoses.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def case(kind: str, seed: int) -> tuple[nn.Module, Segment]:
 
 
 def said(kind: str, seed: int) -> str:
-    """Return what is said first of a case."""
+    """Return the first diagnosis of a case."""
     dynamics, segment = case(kind, seed)
     text = remedy(dynamics, segment, "none")
     found = [(text.index(words), word) for words, word in SAID.items() if words in text]

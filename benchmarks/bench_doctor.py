@@ -1,9 +1,9 @@
-"""Does the doctor of data see wrong units and frames, and is it silent where nothing is wrong?
+"""Does the data check detect wrong units and frames, and is it silent on sound data?
 
     python benchmarks/bench_doctor.py --cases 1000 --seed 0
 
 Springs, pendulums and orbits (LEO, GEO, Molniya; with J2), exact or noisy, are written as tables, each once
-as it is and once with one mistake in its units or its frame. Any fault or warning counts as flagged.
+unchanged and once with one mistake in its units or its frame. Any fault or warning counts as flagged.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def pendulum(draw: Generator) -> Table:
 def orbit(
     perigee: tuple[float, float], eccentricity: tuple[float, float], tilt: tuple[float, float]
 ) -> Callable:
-    """Return what draws orbits within ranges of perigee in km, eccentricity, and inclination in degrees."""
+    """Return a function that draws orbits with perigee in km, eccentricity, and inclination in degrees."""
 
     def drawn(draw: Generator) -> Table:
         runs, low, e = [], draw.uniform(*perigee), draw.uniform(*eccentricity)
@@ -113,7 +113,7 @@ DRAWN: dict[str, Callable[[Generator], Table]] = {
 
 
 def scaled(q: float = 1.0, v: float = 1.0, t: float = 1.0) -> Callable[[Table, Generator], Table]:
-    """Return the mistake that numbers are so many times too large."""
+    """Return the mistake of numbers that are too large by these factors."""
     return lambda one, _: one._replace(t=t * one.t, q=q * one.q, v=v * one.v)
 
 
@@ -131,7 +131,7 @@ def fixed(one: Table, _: Generator) -> Table:
 
 
 def mixed(one: Table, draw: Generator) -> Table:
-    """Take positions that turn with the Earth, beside velocities that do not."""
+    """Combine positions that rotate with the Earth with velocities that do not."""
     return one._replace(q=fixed(one, draw).q)
 
 
@@ -169,7 +169,7 @@ def noisy(one: Table, draw: Generator) -> Table:
 
 
 def verdict(one: Table, folder: Path) -> list[Finding]:
-    """Write a table and return what the doctor finds in its columns, but for notes."""
+    """Write a table and return the findings in its columns, except for notes."""
     path = folder / "data.csv"
     rows = np.concatenate(
         [

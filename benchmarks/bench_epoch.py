@@ -1,11 +1,11 @@
-"""One epoch end to end, loading of data included: ahnn through Lightning, and the loop of most first codes.
+"""One epoch end to end, including data loading: ahnn through Lightning, and a plain loop.
 
     python benchmarks/bench_epoch.py [windows] [repeats]
 
-The plain loop takes one window after another from a dataset and has a DataLoader stack them; its field is
-`autograd.grad` of the energy with its graph, its optimiser AdamW with its defaults. The network, the batches
-of 256 and the trajectories, in memory for both, are the same. The whole fit of ahnn counts, with its checks,
-one validation of 256 windows, its logger and its checkpoint, none of which the plain loop has. CPU seconds.
+The plain loop takes windows one by one from a dataset, and a DataLoader stacks them; its field is
+`autograd.grad` of the energy with its graph, its optimiser is AdamW with its defaults. Both use one network,
+batches of 256 and trajectories in memory. For ahnn the complete fit counts, with checks, a validation of 256
+windows, logger and checkpoint, which the plain loop lacks. CPU seconds.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def plain_epoch(batches: DataLoader, dt: float) -> None:
 
 
 def measured(windows: int, repeats: int) -> Iterator[Row]:
-    """Yield rows for each length of windows: loading alone, and the epoch."""
+    """Yield rows for each length of windows: only loading, and the epoch."""
     for window in LENGTHS:
         load = Row(f"window {window}, batches only", {"ahnn": [], "plain loop": []}, None)
         epoch = Row(f"window {window}, full epoch", {"ahnn": [], "plain loop": []}, None)

@@ -1,11 +1,11 @@
-"""Estimators beside one another on the same scenarios, with the true flow.
+"""Comparison of estimators on the same scenarios, with the true flow.
 
     python benchmarks/bench_estimators.py [--seeds 5] [--scenarios A,B] [--estimators "a;b"]
 
-For each scenario a table: the error over that of the floor (`estimator_scenarios`), NEES for each component
-of the state (1 if consistent), log-likelihood of a measured number, members that were lost, and the CPU time
-of a step of a member. Errors are root mean squares over members and times from the first measurement on; of
-the members that are not lost. Medians of the seeds, and their range.
+For each scenario a table: the error divided by the floor's error (`estimator_scenarios`), NEES per component
+of the state (1 if consistent), log-likelihood of a measured number, lost members, and the CPU time of a step
+of a member. Errors are root mean squares over the members that are not lost and times after the first
+measurement. Medians over the seeds, and their range.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Score(NamedTuple):
     """What one estimator made of one draw.
 
     Attributes:
-        ratio: error over that of the floor.
+        ratio: error divided by the floor's error.
         nees: for each component of the state, mean over members that were kept.
         likelihood: log density of a number that was taken.
         lost: fraction of the members.
@@ -79,12 +79,12 @@ def floor(scenario: Scenario, case: Drawn) -> float:
 
 
 def late(scenario: Scenario, values: Tensor) -> Tensor:
-    """Return values (B, T, ...) from the first measurement on."""
+    """Return values (B, T, ...), starting at the first measurement."""
     return values[:, scenario.updates[0] - 1 :]
 
 
 def scored(scenario: Scenario, estimator: Estimator[Any], case: Drawn, least: float) -> Score:
-    """Return what an estimator makes of a draw whose floor is known."""
+    """Return the score of an estimator on a draw whose floor is known."""
     begin = time.process_time()
     result = run(scenario, estimator.gated(GATE) if scenario.outliers else estimator, case)
     seconds, (members, steps) = time.process_time() - begin, case.rows.shape[:2]

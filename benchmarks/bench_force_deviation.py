@@ -1,9 +1,9 @@
-"""What a run on orbits believes its force to be off by, beside what it is off by, over the distance.
+"""Predicted and actual error of the learned force of a run on orbits, over the distance.
 
     python benchmarks/bench_force_deviation.py RUN
 
-RUN is the folder of a training on measurements of `system=molniya`, such as that of
-`experiment=molniya_positions`. Fractions of the force, root mean squares over unseen trajectories.
+RUN is the folder of a run trained on measurements of `system=molniya`, for example with
+`experiment=molniya_positions`. Errors relative to the force, root mean squares over unseen trajectories.
 """
 
 from __future__ import annotations

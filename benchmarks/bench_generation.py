@@ -3,9 +3,9 @@
     python benchmarks/bench_generation.py [repeats]
 
 CPU seconds on one thread, in turn, and the largest error of a position against Taylor series of heyoka at
-tolerance 1e-18, on some of the orbits. The tolerances of the peers are those at which they err by about
-1e-8 km, or the least that they take. heyoka integrates a vector of orbits at a time; its compilation is not
-counted. DOP853 integrates one orbit at a time: it does a few, and its time is that of as many as the others.
+tolerance 1e-18, on some of the orbits. The tolerances of the peers give errors of about 1e-8 km, or are the
+smallest accepted. heyoka integrates a vector of orbits at a time; its compilation is not counted. DOP853
+integrates one orbit at a time: it integrates a few, and its time is scaled to the full number.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def start() -> Tensor:
 
 
 def contestants(begin: np.ndarray) -> dict[str, tuple[Callable[[], np.ndarray], float]]:
-    """Return who generates, and by what factor the work is less than the whole."""
+    """Return the generators, each with the factor by which its work is smaller than the full work."""
     does: dict[str, tuple[Callable[[], np.ndarray], float]] = {
         "ahnn": (lambda: generate(SYSTEM, ORBITS, SEED).states.numpy(), 1.0)
     }

@@ -1,11 +1,11 @@
-"""What does a first-order training step take on a GPU, beside peers?
+"""Time of a first-order training step on a GPU, compared with peers.
 
     python benchmarks/bench_gpu.py --repeats 5
 
 Steps of generic Hamiltonians of three degrees of freedom through rk4 in float32 (no TF32), by the clock: the
-loss, its gradient and AdamW. `recorded` is what trainings take, `eager` is `cuda_graphs=false`. Peers: plain
-PyTorch (`autograd.grad` with its graph) and JAX (jitted, products in float32), where it is installed.
-Recordings and compilations are not counted.
+loss, its gradient and AdamW. `recorded` is the default of training runs, `eager` is `cuda_graphs=false`.
+Peers: plain PyTorch (`autograd.grad` with its graph) and JAX (jitted, products in float32), where it is
+installed. Recordings and compilations are not counted.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""What an integrator is off by, beside the noise of positions.
+"""Error of an integrator, compared with the noise of positions.
 
     python benchmarks/bench_integrator_noise.py
 
-The exact field of Molniya orbits through integrators and steps, held against the unseen positions of
-`experiment=molniya_positions`, 100 m of noise every five minutes, each day from the start that fits best.
-What is left per degree of freedom is 1 if it is the noise alone.
+The exact field of Molniya orbits, with several integrators and steps, is compared with the unseen positions
+of `experiment=molniya_positions`, 100 m of noise every five minutes, each day from the best-fitting start.
+Chi-square per degree of freedom is 1 if only noise remains.
 """
 
 from __future__ import annotations

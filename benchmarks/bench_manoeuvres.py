@@ -1,9 +1,9 @@
-"""Interacting models beside single filters on satellites that thrust for ten minutes.
+"""Interacting models compared with individual filters on satellites that thrust for ten minutes.
 
     python benchmarks/bench_manoeuvres.py [SEEDS]
 
 Twenty satellites near 1,000 km for three hours, a position of 100 m every minute, the exact flow. After an
-hour and a half each gains 5 m/s a minute for ten minutes, along its velocity, which no filter is told. Root
+hour and a half each gains 5 m/s per minute for ten minutes, along its velocity, unknown to the filters. Root
 mean square errors of positions, and the probability of the mode with manoeuvres; medians of the seeds, and
 their range.
 """
@@ -29,7 +29,7 @@ MEMBERS, STEPS, DT, SD, THRUST = 20, 180, 60.0, 0.1, 5e-3
 BURN = range(90, 100)
 PHASES = {"before": slice(30, 90), "during": slice(91, 100), "after": slice(110, 180)}
 QUIET = (1e-6,) * 3 + (1e-8,) * 3
-"""Standard deviations of the process noise of a step in km and km/s: of nothing but a model's last digits."""
+"""Standard deviations of the process noise of a step in km and km/s: only a model's last digits."""
 NOISY = (1e-3,) * 3 + (THRUST,) * 3
 ADDED = [sd / DT**0.5 for sd in NOISY]
 """The same as white noise, after one second."""
@@ -76,7 +76,7 @@ def figures(estimator: Estimator[Any], sds: tuple[float, ...], states: Tensor, s
 
 
 def shown(values: list[float]) -> str:
-    """Return the median and the range of numbers; nothing for what a filter has not."""
+    """Return the median and the range of numbers; "" if a filter has none."""
     digits = (f"{value:.2g}" for value in (median(values), min(values), max(values)))
     return "" if values[0] != values[0] else "{} ({} to {})".format(*digits)
 

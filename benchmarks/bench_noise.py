@@ -2,9 +2,9 @@
 
     python benchmarks/bench_noise.py --out noise.csv
 
-Rows are appended as they are measured, and those that the file has are not measured again; at the end stand
-tables of the medians of the seeds, with their range. The error is that of rollouts of unseen trajectories
-from their true start, mean of the rms vector norm, as in every table.
+Rows are appended as they are measured; rows in the file are not measured again. Tables of the medians over
+seeds, with their range, follow. The error is the mean over unseen trajectories of the rms vector norm, in
+rollouts from the true start.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Bands of a training whose noise is biased, coloured or of another size, before and after it is estimated.
+"""Bands of a run whose noise is biased, coloured or of another size, before and after it is estimated.
 
     python benchmarks/bench_noise_models.py [--draws 5] [--kinds bias,colour,size] [--run DIR]
 
 Angles of a pendulum, 100 swings of 10 s, every 0.1 s, with a standard deviation of 0.01 rad. The epochs are
-those of one training on white noise (`--run`, made where it is missing); the last steps, which lead to the
-optimum, are taken on measurements of each draw, once as stated and once with the noise model. Errors are
-those of rollouts of 32 unseen swings from their true start.
+taken from one training run on white noise (`--run`, created if missing); the final steps, which lead to the
+optimum, are taken on measurements of each draw, once as stated and once with the noise model. Errors refer to
+rollouts of 32 unseen swings from their true start.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def main() -> None:
 
 
 def said(learned: Any, unseen: Segment, estimate: NoiseEstimate | None, unknown: UnknownNoise) -> str:
-    """Return what a training would say of the noise."""
+    """Return the note of a training run on the noise."""
     seen, found = unseen.instrument, list[str]()
     if estimate is not None:
         found = estimate.sentences(seen.measurement.names, seen.measurement.units)

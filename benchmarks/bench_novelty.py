@@ -1,9 +1,9 @@
-"""How far a learned force is off where the training never was, against the novelty of the state.
+"""Error of a learned force outside the training data, over the novelty of the state.
 
 python benchmarks/bench_novelty.py [NAME]
 
-Six orbits of each kind that a shipped model has not seen; the root mean square of the relative error of the
-force over single steps, for states of some novelty.
+Six orbits of each kind on which a pretrained model was not trained; root mean square of the relative error of
+the force over single steps, by the novelty of states.
 """
 
 from __future__ import annotations

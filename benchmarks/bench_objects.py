@@ -1,8 +1,8 @@
-"""Many objects in one session: time, lines a second and memory with files, objects beside solo runs, kills.
+"""Many objects in one session: time, lines per second, memory, comparison with separate runs, kills.
 
 Position fixes of satellites on Molniya orbits, noise 0.1 km, read from a table with an object column;
 estimates with covariances go to a file, and a state is saved every 100,000 lines. The process model is the
-exact J2 flow, or the shipped learned one of 2x40 (`molniya_generic_wide`).
+exact J2 flow, or the pretrained 2x40 model (`molniya_generic_wide`).
 
     python benchmarks/bench_objects.py [--objects 30000] [--fixes 100] [--kills 20] [--seed 0] [--parquet]
         [--flows exact learned]
@@ -53,7 +53,7 @@ def system() -> Molniya:
 
 
 def make_files(folder: Path, objects: int, fixes: int, seed: int, *, parquet: bool) -> None:
-    """Write starts and fixes; objects are measured in turns, each at times of its own."""
+    """Write starts and fixes; objects are measured in turns, each at separate times."""
     satellites, draw = system(), np.random.default_rng(seed)
     flow, generator = exact_flow(satellites), torch.Generator().manual_seed(seed)
     x = satellites.initial_states(objects, generator)
@@ -129,7 +129,7 @@ def follow(folder: Path, flow: str, *, parquet: bool) -> dict[str, Any]:
 
 
 def beside_solo(folder: Path, flow: str, fixes: int, count: int, seed: int) -> dict[str, Any]:
-    """Compare the last rows of objects that are drawn with filters of their own."""
+    """Compare the last rows of drawn objects with separate filters."""
     start = beliefs(folder)
     drawn = sorted(random.Random(seed).sample(range(len(start.mean)), count))
     wanted = {f"sat-{k}": k for k in drawn}
@@ -160,13 +160,13 @@ def beside_solo(folder: Path, flow: str, fixes: int, count: int, seed: int) -> d
         off = max(off, *(float(block.max()) for block in blocks))
         spread = max(spread, float(np.abs((numbers[6:] - covariance[lower]) / np.outer(sd, sd)[lower]).max()))
     return {
-        f"{count} objects beside solo runs, relative (bar 1e-12)": f"{off:.1e}",
+        f"{count} objects compared with separate runs, relative (bar 1e-12)": f"{off:.1e}",
         "covariances, relative to their deviations": f"{spread:.1e}",
     }
 
 
 def killed(folder: Path, flow: str, kills: int, seed: int) -> dict[str, Any]:
-    """Kill a session at random moments, and compare what comes out with one that was left alone."""
+    """Kill a session at random moments, and compare its output with an uninterrupted session."""
     command = [sys.executable, __file__, "--folder", str(folder), "--flow", flow, "--name"]
     subprocess.run([*command, "whole"], check=True, stdout=subprocess.DEVNULL)
     whole, out = folder / "whole.out", folder / "parts.out"
@@ -179,7 +179,7 @@ def killed(folder: Path, flow: str, kills: int, seed: int) -> dict[str, Any]:
         running.send_signal(signal.SIGKILL)
         done += running.wait() == -signal.SIGKILL
     subprocess.run([*command, "parts"], check=True, stdout=subprocess.DEVNULL)
-    return {f"all estimates after {done} kills equal, bit for bit": out.read_bytes() == whole.read_bytes()}
+    return {f"all estimates bit-identical after {done} kills": out.read_bytes() == whole.read_bytes()}
 
 
 def main() -> None:
@@ -193,7 +193,7 @@ def main() -> None:
     parser.add_argument("--flows", nargs="+", default=["exact", "learned"])
     parser.add_argument("--parquet", action="store_true", help="files are Parquet, in and out")
     parser.add_argument("--place", help="folder for the files; a temporary one without")
-    for name in ("folder", "flow", "name"):  # of one session, of its own process
+    for name in ("folder", "flow", "name"):  # of one session in a separate process
         parser.add_argument(f"--{name}", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.folder and options.name:

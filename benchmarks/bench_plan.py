@@ -1,10 +1,10 @@
-"""Planned sessions of five stations beside sessions at equal spacing in time, over draws of the start.
+"""Planned sessions of five stations compared with equally spaced sessions, over draws of the start.
 
     python benchmarks/bench_plan.py [--draws 20] [--choose 4]
 
-A satellite on a Molniya orbit (the shipped mechanical model) with a random phase and ascending node, known to
-1 km and 1 m/s, is measured in sessions of an hour within two days; the forecast is for the fifth. Sessions
-at equal spacing are counted until they are as good as the plan.
+A satellite on a Molniya orbit (the pretrained mechanical model) with a random phase and ascending node, known
+to within 1 km and 1 m/s, is measured in sessions of one hour within two days; the forecast is for the fifth
+day. The number of equally spaced sessions is increased until they are as good as the plan.
 """
 
 from __future__ import annotations

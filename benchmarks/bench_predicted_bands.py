@@ -1,12 +1,12 @@
-"""Are the bands of `ahnn.predict` right on the training's own kind of motion?
+"""Are the bands of `ahnn.predict` calibrated on motion like the training data?
 
     python benchmarks/bench_predicted_bands.py RUN [RUN ...]
 
-RUN is the folder of a training on simulated measurements. Its unseen trajectories are predicted from their
-true starts, in the steps of the training. Printed are the shares of their states within 1, 2 and 3 standard
-deviations; at the end of each trajectory these in units of `run.band`, which knows no novelty, median and
-largest; and how many of the states are novel, with the largest novelty. What is of the training's kind is
-known ground: 1, and one state in a hundred.
+RUN is the folder of a run trained on simulated measurements. Its unseen trajectories are predicted from their
+true starts, in the steps of the training. The output lists the fractions of their states within 1, 2 and 3
+standard deviations; the ratio of these deviations to `run.band`, which ignores novelty, at the end of each
+trajectory, median and maximum; and the fraction of novel states, with the largest novelty. For motion like
+the training data the ratio is 1 and one state in a hundred is novel.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ahnn.data import SplitData
 
 
 def sentence(folder: Path) -> str:
-    """Return what the bands of a run are worth, as a line."""
+    """Return a line on the calibration of the bands of a run."""
     run = load(folder)
     cfg = OmegaConf.create(run.config)
     source = build_source(cfg)

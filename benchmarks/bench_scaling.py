@@ -2,10 +2,10 @@
 
     python benchmarks/bench_scaling.py [picture.png]
 
-Steps are those of `works.py`, first order, float32, one thread: 2 x 64 GELU units, window 1 and batch 256
-where nothing else is said; CPU seconds, medians in turn. Data are whole runs of `python -m ahnn.train` on the
-spring with 1,001 samples a trajectory and two epochs of 50 steps, in processes and a cache of their own: by
-the clock, and the largest memory of a process.
+Steps as in `works.py`: first order, float32, one thread, 2 x 64 GELU units, window 1 and batch 256 unless
+stated; CPU seconds, medians of alternating measurements. Data: complete runs of `python -m ahnn.train` on the
+spring with 1,001 samples per trajectory and two epochs of 50 steps, in separate processes with a separate
+cache; wall time, and the largest memory of a process.
 """
 
 from __future__ import annotations

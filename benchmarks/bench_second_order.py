@@ -1,11 +1,11 @@
-"""A step of Levenberg-Marquardt beside its floor, and beside a jitted one.
+"""A step of Levenberg-Marquardt compared with its floor and with a jitted step.
 
     python benchmarks/bench_second_order.py [repeats]
 
-The floor is the time of the multiply-adds that cannot be spared, as plain matrix products: half of the Gram
-matrix (N P^2 / 2) and the products in the Jacobian in float32, the factor (P^3 / 6) in float64. With one core
-times are CPU time; with two, those of a clock, which mean something on a machine that does nothing else.
-optimistix, where it is installed, takes a jitted step on as many residuals of the same network, in float64.
+The floor is the time of the necessary multiply-adds, as plain matrix products: half of the Gram
+matrix (N P^2 / 2) and the products in the Jacobian in float32, the factor (P^3 / 6) in float64. With one
+core, times are CPU time; with two, wall time, which needs an idle machine. optimistix, if installed, takes a
+jitted step on the same number of residuals of the same network, in float64.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""From the start of a process to its end or its first optimiser step: ahnn, and what imports alone take.
+"""Time from the start of a process to its end or its first optimiser step: ahnn, and imports only.
 
     python benchmarks/bench_startup.py [repeats]
 
-Whole processes, in turn, with children that they start: CPU seconds (user and system) and the wall clock. The
-first step is that of `python -m ahnn.train` with its defaults, its trajectories in the cache and its compiled
-parts made before. Peers take a step of AdamW on one batch of random numbers: they read no configuration and
-no data, so that nothing but their imports, and JAX's compilation, counts.
+Complete processes with their children, in turn: CPU seconds (user and system) and wall time. The first step
+is taken by `python -m ahnn.train` with its defaults, with cached trajectories and compiled parts. Peers take
+a step of AdamW on one batch of random numbers: they read no configuration and no data, so that only their
+imports, and JAX's compilation, count.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Jacobians of steps along a learned force in closed form, beside the same by vectorised reverse mode.
+"""Jacobians of steps along a learned force: closed form compared with vectorised reverse mode.
 
     python benchmarks/bench_step_jacobians.py [repeats]
 
-20,000 steps of dopri5 of a satellite, in float32: what a training on measurements takes most of. The wide
-network is what functions take their last step with.
+20,000 steps of dopri5 of a satellite, in float32: most of the time of training on measurements. The wide
+network is used for the final step in function space.
 """
 
 from __future__ import annotations

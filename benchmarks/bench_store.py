@@ -1,12 +1,12 @@
-"""Time of training steps on a stored data set that is mapped, over that of the same steps on it in memory.
+"""Time of training steps on a mapped data set, relative to the same steps on data in memory.
 
     python benchmarks/bench_store.py FOLDER [trajectories] [samples] [steps] [recipe]
 
 A spring's trajectories are written into FOLDER, part by part, in closed form: its integrator would take
 most of an hour for a million. Two processes take turns: one maps them, and measures first `mapped` and then
 `cold`, after their pages were dropped from the system's cache; the other, `memory`, holds a quarter of them,
-so that it fits beside others. Steps are those of Lightning's loop with a recipe's optimiser on randomly
-drawn windows; wall time, since a disk keeps nobody's CPU busy.
+so that it fits. Steps are taken by Lightning's loop with a recipe's optimiser on randomly drawn windows; wall
+time, since a disk uses no CPU time.
 """
 
 from __future__ import annotations
@@ -130,9 +130,9 @@ def fitted(cfg: DictConfig, data: WindowDataModule, statistics: Statistics) -> d
 
 
 def measured(mode: str, cfg: DictConfig, path: Path) -> dict[str, dict[str, float]]:
-    """Return what a fit took, of mapped data also without their pages; and what came before it in seconds.
+    """Return the time of a fit, on mapped data also without cached pages, and the seconds before it.
 
-    The statistics are those of one part: one pass less over all.
+    The statistics are taken from one part, which saves a pass over all data.
     """
     begin = time.perf_counter()
     data = prepare(cfg).data

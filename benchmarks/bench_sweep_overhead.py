@@ -1,4 +1,4 @@
-"""What do storage, sweeper and pruner cost beside the trainings of a sweep?
+"""Overhead of storage, sweeper and pruner compared with the training runs of a sweep.
 
     python benchmarks/bench_sweep_overhead.py sweep=quick model=hnn [override ...]
 
@@ -54,7 +54,7 @@ def main() -> None:
         total = sweeper + SPENT["pruner"] + SPENT["trial"]
         parts = f"sweeper {sweeper:.1f}, trial {SPENT['trial']:.1f}, pruner {SPENT['pruner']:.1f}"
         share = 100 * total / SPENT["sweep"]
-        print(f"sweep {SPENT['sweep']:.1f} s, of which {total:.1f} s ({share:.2f} %) overhead: {parts}")
+        print(f"sweep {SPENT['sweep']:.1f} s, including {total:.1f} s ({share:.2f} %) overhead: {parts}")
 
 
 if __name__ == "__main__":

@@ -56,7 +56,7 @@ class PlainField(torch.nn.Module):
 
 
 def position_error(flow, truth: torch.Tensor, dt: float, dof: int) -> float:
-    """Return the mean over trajectories of the rms position error of whole rollouts."""
+    """Return the mean over trajectories of the rms position error of full rollouts."""
     prediction = rollout(flow, truth[:, 0], dt, truth.shape[1])
     return float(rmse_norm(errors(prediction, truth)[..., :dof]))
 

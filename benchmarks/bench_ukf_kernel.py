@@ -1,8 +1,8 @@
-"""Time of the filter against its flow alone, and against filterpy on the same flow; medians in one run.
+"""Time of the filter against its flow only, and against filterpy on the same flow; medians in one run.
 
 125 members, 13 sigma points, an update every 60th step, as in the paper, on one thread. Two flows, each
 through one Runge-Kutta step of order four: a 3x128 network (float32, the gradient of a Hamiltonian in closed
-form), and two bodies with J2, which filterpy gets in NumPy, point by point, as it asks for it.
+form), and two bodies with J2, which filterpy receives in NumPy, point by point, as it requires.
 
     python benchmarks/bench_ukf_kernel.py [--steps 240] [--repeats 5]
 """
@@ -157,8 +157,8 @@ def report(title: str, times: dict[str, list[float]]) -> None:
     """Print the medians, and the medians of the ratios of each repeat."""
     print(title)
     for name, values in times.items():
-        ratio = median(v / f for v, f in zip(values, times["flow alone"], strict=True))
-        print(f"  {name:12s} {median(values) * 1e6:9.2f} us per filter-step  {ratio:8.3f} x flow alone")
+        ratio = median(v / f for v, f in zip(values, times["flow only"], strict=True))
+        print(f"  {name:12s} {median(values) * 1e6:9.2f} us per filter-step  {ratio:8.3f} x flow")
     if "filterpy" in times:
         pairs = zip(times["filterpy"], times["square-root"], strict=True)
         print(f"  square-root is {median(a / b for a, b in pairs):.0f} times faster than filterpy")
@@ -177,13 +177,13 @@ def main() -> None:
     orbit = torch.tensor((26600.0, 0.0, 0.0, 0.0, 2.7, 2.7), dtype=torch.float64).repeat(BATCH, 1)
     two_body = j2_flow, orbit, 60.0, steps
     times = {
-        "flow alone": (flow_alone(*network), count),
+        "flow only": (flow_alone(*network), count),
         "square-root": (batched_filter(*network, SQUARE_ROOT), count),
         "standard": (batched_filter(*network, STANDARD), count),
     }
     report("3x128 Hamiltonian network, float32", measure(times, arguments.repeats))
     times = {
-        "flow alone": (flow_alone(*two_body), count),
+        "flow only": (flow_alone(*two_body), count),
         "square-root": (batched_filter(*two_body, SQUARE_ROOT), count),
         "standard": (batched_filter(*two_body, STANDARD), count),
         "filterpy": (filterpy_filter(j2_flow_numpy, orbit[0].numpy(), 60.0, CADENCE), CADENCE),

@@ -1,9 +1,9 @@
-"""Scenarios for estimators: true flows, trajectories, measurements, and the best that can be known of them.
+"""Scenarios for estimators: true flows, trajectories, measurements, and the best possible estimates.
 
-The floor is the best that anybody could do on the same measurements. Where a motion is near linear over its
-uncertainty it is the filter that is linearised along the truth: its covariance is the posterior Cramér-Rao
-bound of such a motion (Tichavský, Muravchik & Nehorai 1998), outliers left out. Elsewhere it is a bootstrap
-particle filter (Gordon, Salmond & Smith 1993) of many particles, which tends to the exact posterior mean.
+The floor is the best possible estimate from the same measurements. If a motion is nearly linear over its
+uncertainty, it is the filter linearised along the truth: its covariance is the posterior Cramér-Rao bound of
+such a motion (Tichavský, Muravchik & Nehorai 1998), without outliers. Elsewhere it is a bootstrap particle
+filter (Gordon, Salmond & Smith 1993) of many particles, which tends to the exact posterior mean.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ STATIONS = ((67.86, 20.96), (65.12, 212.57), (-7.95, 345.60), (-46.53, 168.38), 
 EVERY = 600.0
 """Seconds between two measurements of a satellite."""
 OUTLIER = 20.0
-"""Standard deviation of an outlier, in those of the noise."""
+"""Standard deviation of an outlier, relative to the noise."""
 
 
 class Scenario(NamedTuple):
@@ -53,7 +53,7 @@ class Scenario(NamedTuple):
         updates: steps after which it is measured.
         scored: components whose errors are compared.
         outliers: fraction of rows whose noise is `OUTLIER` times as large; they call for a gate.
-        linear: whether the floor is that along the truth.
+        linear: whether the floor is the filter along the truth.
         members: how many are drawn at once.
     """
 
@@ -114,7 +114,7 @@ def drawn(scenario: Scenario, seed: int) -> Drawn:
 
 
 def run(scenario: Scenario, estimator: Estimator[Any], case: Drawn) -> FilterResult:
-    """Return what an estimator makes of a draw."""
+    """Return the result of an estimator on a draw."""
     belief = initial_belief(case.believed, torch.diag(scenario.start_sd**2))
     noise = torch.diag(scenario.step_sd**2), torch.diag(scenario.sd**2)
     return estimator.run(scenario.flow, belief, case.rows, scenario.measurement, *noise, scenario.dt)
@@ -141,7 +141,7 @@ class Affine(NamedTuple):
 
 
 class Linear:
-    """A measurement model that is a line at the true states; its differences are the model's."""
+    """A measurement model linearised at the true states, with the differences of the model."""
 
     def __init__(self, model: Measurement, x: Tensor, t: float) -> None:
         self.model, self.names, self.units = model, model.names, model.units
@@ -160,8 +160,8 @@ def along_truth(scenario: Scenario, estimator: Estimator[Any], case: Drawn) -> T
     """Return the means (B, T, D) of the filter that is linearised along the truth and knows the outliers.
 
     Args:
-        scenario: what happens.
-        estimator: any that is exact on linear systems.
+        scenario: scenario.
+        estimator: any estimator that is exact on linear systems.
         case: the draw.
     """
     q, r = torch.diag(scenario.step_sd**2), torch.diag(scenario.sd**2)

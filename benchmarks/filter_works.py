@@ -2,10 +2,10 @@
 
     python benchmarks/filter_works.py [repeats]
 
-Float64, alpha = 1, a step a minute. `ahnn` has the flow of its own system=molniya, a composition
-of order eight in C; `torch` is its filter with one Runge-Kutta step in torch, which the peers have too, and
-`compiled` the same through torch.compile, whose compilation is not counted. The floor is the compiled flow
-alone on all sigma points.
+Float64, alpha = 1, one step per minute. `ahnn` uses the flow of system=molniya, a composition of order eight
+in C; `torch` is its filter with one Runge-Kutta step in torch, as in the peers, and `compiled` is `torch`
+through torch.compile, whose compilation is not counted. The floor is only the compiled flow on all sigma
+points.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def flow_alone(flow: Callable, start: Tensor, steps: int) -> Work:
 
 
 def filterpy_filter(start: Tensor, rows: Tensor) -> Work:
-    """Return work: filterpy on one member, which is all that it knows."""
+    """Return work: filterpy on one member, as it has no batches."""
     import numpy as np
     from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 

@@ -1,4 +1,4 @@
-"""The page of the benchmarks: sections that are replaced one by one, and a picture of all ratios on it."""
+"""The page of the benchmarks: sections that are replaced one by one, and a picture of all ratios."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def cpu() -> str:
 
 
 def machine(load: float) -> str:
-    """Return what measures, with its mean load before."""
+    """Return the machine, with its mean load before."""
     shared = f"mean load {load:.1f}" if load > 0.5 else "idle before"
     versions = f"Python {platform.python_version()}, PyTorch {torch.__version__}"
     return f"{cpu()}, {os.cpu_count()} cores, {versions}; {shared}"
@@ -37,7 +37,7 @@ def sections(text: str) -> dict[str, str]:
 
 
 def write(opening: str, titles: list[str], found: dict[str, str]) -> None:
-    """Write the page: sections that were found take the place of those that it has, others stay."""
+    """Write the page: new sections replace old ones of the same title, all other sections stay."""
     old = sections(PATH.read_text()) if PATH.exists() else {}
     have = {title: text for title in titles if (text := found.get(title) or old.get(title))}
     parts = [opening.strip(), *(f"## {title}\n\n{text.strip()}" for title, text in have.items())]

@@ -2,8 +2,8 @@
 
     python benchmarks/run.py [--only filter,rollouts] [--repeats 3]
 
-Peers come with the extra `bench`; one that is not installed is left out by name. With `--only`, other
-sections of the page stay as they are. Each section is of a script that can also be run by itself.
+Peers are in the extra `bench`; a peer that is not installed is reported and omitted. With `--only`, other
+sections of the page stay unchanged. The script of each section can also be run by itself.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from timing import left_out, settle, table
 from ahnn.cli.preflight import quiet
 
 CAP = 8.0
-"""Times our time after which the plain way to an accuracy is stopped."""
+"""Times our time after which plain training is stopped."""
 STEPS, WINDOWS = 150, 51200
 """Steps of a fit through Lightning, and windows of an epoch."""
 OPENING = """# Benchmarks
@@ -41,7 +41,7 @@ of CPU time unless stated; ratios are medians over the repeats, below 1 where ah
 
 
 class Section(NamedTuple):
-    """A section of the page: its heading, what it says before its table, and how it is measured."""
+    """A section of the page: its heading, the text before its table, and its measurement."""
 
     title: str
     about: str
@@ -148,7 +148,7 @@ The other programs take one AdamW step on random numbers, without configuration 
 
 
 def text(section: Section, repeats: int) -> str:
-    """Measure a section, and return its text, which ends with what measured."""
+    """Measure a section, and return its text, which ends with the machine."""
     os.environ["OMP_NUM_THREADS"] = "1"  # a section before may have left two
     absent, load = left_out(section.needs), os.getloadavg()[0]
     found = section.measure(repeats)
@@ -160,14 +160,16 @@ def text(section: Section, repeats: int) -> str:
 
 
 def chosen() -> argparse.Namespace:
-    """Return what the command line asks for."""
+    """Return the options of the command line."""
     parser = argparse.ArgumentParser(description="Measure ahnn and its peers; write docs/benchmarks.md.")
     parser.add_argument("--only", default=",".join(SECTIONS), help="sections, by comma: %(default)s")
     parser.add_argument("--repeats", type=int, help="of each section; by default what suits it")
     arguments = parser.parse_args()
     arguments.only = arguments.only.split(",")
     if unknown := {*arguments.only} - SECTIONS.keys():
-        parser.error(f"--only: expected some of {', '.join(SECTIONS)}; received {', '.join(sorted(unknown))}")
+        parser.error(
+            f"--only: expected one or more of {', '.join(SECTIONS)}; received {', '.join(sorted(unknown))}"
+        )
     return arguments
 
 

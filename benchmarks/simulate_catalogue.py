@@ -1,8 +1,8 @@
-"""Position fixes of 200 Molniya satellites in one table, as they come in, and a table of where they start.
+"""Position fixes of 200 Molniya satellites in one table, in order of arrival, and a table of their starts.
 
 The truth is the exact flow of the simulated system: each satellite is measured 40 times, about once a minute,
-with noise of 0.1 km. Some lines come late, one satellite has a start that is 5,000 km off, and one is not in
-the table of starts.
+with noise of 0.1 km. Some lines are late, the start of one satellite has an error of 5,000 km, and one
+satellite has no start.
 
     python benchmarks/simulate_catalogue.py FOLDER
 """

@@ -1,7 +1,7 @@
-"""Position fixes of a Molniya satellite as they come in: noise, a gap, outliers, missing numbers, late lines.
+"""Position fixes of a Molniya satellite in order of arrival, with noise, a gap, outliers and late lines.
 
-The truth is the exact flow of the simulated system, 12 hours from perigee, a fix each 20 s on average, noise
-0.1 km, from the seed 0.
+The truth is the exact flow of the simulated system, 12 hours from perigee, a fix every 20 s on average, noise
+0.1 km, seed 0.
 
     python benchmarks/simulate_fixes.py FILE
 """
@@ -38,7 +38,7 @@ def main() -> None:
     x, now, lines = torch.tensor([START], dtype=torch.float64), 0.0, []
     while (dt := float(draw.exponential(20.0)) + 0.1) + now < 3600 * HOURS:
         x, now = flow(x, dt), now + dt
-        if 5.0 < now / 3600 < 6.0:  # nobody listens
+        if 5.0 < now / 3600 < 6.0:  # no reception
             continue
         q = x[0, :3].numpy() + SD * draw.normal(size=3)
         q += 50.0 * (draw.uniform() < 0.01) * draw.normal(size=3)

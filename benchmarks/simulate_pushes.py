@@ -1,8 +1,8 @@
-"""A cart with a pole that is pushed, as it is seen: positions and angles with noise, and pushes in between.
+"""Measurements of a pushed cart with a pole: positions and angles with noise, and pushes in between.
 
-The truth is the exact flow of the simulated system, from rest, 10 s; a measurement each 0.1 s on average with
-noise of 1 mm and 1 mrad, and a new push of about 1 N each 0.3 s on average, between them. From the seed 0.
-Into the folder go `pushed.csv` with both, `seen.csv` with the measurements, and `pushes.csv` with the pushes.
+The truth is the exact flow of the simulated system, from rest, 10 s; a measurement every 0.1 s on average
+with noise of 1 mm and 1 mrad, and a new push of about 1 N every 0.3 s on average, between them; seed 0. The
+folder receives `pushed.csv` with both, `seen.csv` with the measurements, and `pushes.csv` with the pushes.
 
     python benchmarks/simulate_pushes.py FOLDER
 """

@@ -30,7 +30,7 @@ def in_turn(
 ) -> Row:
     """Return the seconds of all works and of the floor, in turn, after one call each to warm up.
 
-    By default CPU seconds: all threads of the process count, so that nobody gains by a pool of them.
+    By default CPU seconds: all threads of the process count, so that a pool of threads gains nothing.
     """
     everything = works if floor is None else {**works, "floor": floor}
     times: dict[str, list[float]] = {key: [] for key in everything}
@@ -55,7 +55,7 @@ def has(parts: Sequence[str]) -> bool:
 
 
 def left_out(needs: Mapping[str, Sequence[str]]) -> list[str]:
-    """Say and return which peers are left out, each with what is not installed."""
+    """Report and return the omitted peers, each with the packages that are not installed."""
     found = [
         f"{peer} ({', '.join(part for part in parts if find_spec(part) is None)})"
         for peer, parts in needs.items()
@@ -78,7 +78,7 @@ def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def table(rows: Sequence[Row], what: str, unit: float = 1e3) -> str:
-    """Return rows as a table: ahnn in a unit, the floor, and ahnn over each of the others."""
+    """Return rows as a table: ahnn in a unit, the floor, and ahnn relative to each peer."""
     others = [*dict.fromkeys(who for row in rows for who in row.times if who != "ahnn")]
     floor = rows[0].floor is not None
     heads = [what, "ahnn", *(("floor", "ahnn / floor") if floor else ())]

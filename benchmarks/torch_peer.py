@@ -1,4 +1,4 @@
-"""The same work as most write it in PyTorch: the field is autograd's gradient, with its graph."""
+"""The same work in plain PyTorch: the field is autograd's gradient, with its graph."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def torchdiffeq_increment(energy: nn.Module, x: Tensor, dt: float) -> Tensor:
 
 
 def loss(net: nn.Module, follow: Increment, start: Tensor, targets: Tensor, dt: float) -> Tensor:
-    """Return the Huber loss of W recursive predictions beside W increments (B, W, D)."""
+    """Return the Huber loss of W recursive predictions of W increments (B, W, D)."""
     x, residual, residuals = start, torch.zeros_like(start), []
     for target in targets.unbind(1):
         predicted = follow(net, x, dt)

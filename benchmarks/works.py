@@ -1,4 +1,4 @@
-"""What is measured: the same work by ahnn and by each peer that is installed."""
+"""The measured work, by ahnn and by each installed peer."""
 
 from __future__ import annotations
 

@@ -149,7 +149,7 @@ def test_a_gate_is_on_by_default_and_opens_again_for_a_filter_that_is_lost(capsy
         ends = [float(rows[-1][name]) - ORBIT[40, k] for k, name in enumerate(("x", "y", "z"))]
         assert (max(map(abs, ends)) < 0.2) == (option != "gate=none")
     assert "reopened the gate after consecutive rejections; the covariance was enlarged" in caplog.text
-    assert "reopened 1 times after too many in a row" in caplog.text
+    assert "reopened once after too many consecutive rejections" in caplog.text
     assert assimilate(*FIXES, "gate=2", "output=track.csv") == 2
     assert "gate: expected" in capsys.readouterr().err
 

@@ -86,13 +86,12 @@ def test_numbers_are_held_all_the_time(words):
 
 
 MISTAKES = {
-    "measurements=alone.csv": "controls: expected values from the start on, at time 0; received none before",
-    "measurements=fixes.csv controls=pushes.csv": "controls: expected a table, or readings with",
+    "measurements=alone.csv": "controls: expected values at the start, time 0; received none before",
+    "measurements=fixes.csv controls=pushes.csv": "expected controls either in a table or in readings",
     "measurements=alone.csv controls=none.csv": "controls: expected numbers or a file; received none.csv: No",
     "measurements=alone.csv controls=[1,2]": "controls: expected a FILE with time and u, or numbers that are",
     "measurements=alone.csv controls=[a]": "controls: ",
-    "measurements=alone.csv controls=pushes.csv time=-1": "expected values from the start on, at -1; "
-    "received",
+    "measurements=alone.csv controls=pushes.csv time=-1": "expected values at the start, time -1; received",
     "measurements=alone.csv controls=fixes.csv": "column u: expected a number in each row; received none",
 }
 

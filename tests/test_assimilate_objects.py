@@ -130,7 +130,7 @@ def test_a_mistake_is_one_message_and_leaves_nothing(place, capsys, words):
 @pytest.mark.usefixtures("place")
 def test_states_without_objects_are_refused(capsys):
     assert assimilate(GIVEN[0], *GIVEN[2:], "states=a.csv") == 2
-    assert "states: expected objects=COLUMN with it" in capsys.readouterr().err
+    assert "with objects=COLUMN; received no objects" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("place")
@@ -156,7 +156,9 @@ def test_shards_are_together_what_one_worker_does_bit_for_bit(caplog, capsys):
     assert [head, *sorted(parts, key=lambda row: int(row.partition(",")[0]))] == whole
     assert sorted(states) == sorted(Path("last.csv").read_text().splitlines()[1:])
     assert assimilate(*GIVEN, "shard=1/2", *made) == 2
-    assert "start: expected the 3 objects of part-2.state; received different ones" in capsys.readouterr().err
+    assert (
+        "start: expected the 3 objects of part-2.state; received different objects" in capsys.readouterr().err
+    )
 
 
 @pytest.mark.usefixtures("place")

@@ -77,8 +77,11 @@ def test_a_start_holds_at_its_epoch(arguments, begins):
 
 
 MISTAKES = {
-    "a date of a start, and no epoch": ([*NUMBERS, PLAIN, f"time={dated(3)}"], "time: expected epoch= of"),
-    "no date": ([*NUMBERS, PLAIN, "time=noon"], "epoch= of time zero beside a date; received noon"),
+    "a date of a start, and no epoch": (
+        [*NUMBERS, PLAIN, f"time={dated(3)}"],
+        "expected a date together with epoch=",
+    ),
+    "no date": ([*NUMBERS, PLAIN, "time=noon"], "a date together with epoch= of time zero; received noon"),
     "numbers, and nobody says from when": ([START, PLAIN], "expected epochs, since the start has an epoch"),
     "two times": ([START, PLAIN, FROM_NOON, "time=3"], "time: expected none, since the start file"),
     "dates, and no epoch": (
@@ -108,7 +111,7 @@ def test_what_nobody_says_is_asked_for_and_leaves_nothing(name, place, capsys):
     ("frame", "center", "said"),
     [
         ("ITRF2014", "EARTH", "expected an inertial frame; received ITRF2014"),
-        ("EME2000", "MARS", "expected centre EARTH, that of the model; received MARS"),
+        ("EME2000", "MARS", "expected centre EARTH, as in the model; received MARS"),
     ],
 )
 def test_a_start_in_another_frame_or_about_another_body_is_refused(frame, center, said, capsys):
@@ -142,7 +145,7 @@ def test_the_covariance_of_an_earlier_state_is_carried_to_the_last_one_by_the_mo
     assert float(row["x"]) == pytest.approx(float(ORBIT[20, 0]), rel=1e-14)
     assert float(row["cov_x_x"]) == pytest.approx(float(carried[0, 0]), rel=1e-9)
     assert abs(float(row["cov_x_x"]) - P[0, 0]) > 1e-3 * P[0, 0]
-    assert "its covariance is that of a state 300 s earlier" in caplog.text
+    assert "its covariance is propagated by the model from a state 300 s earlier" in caplog.text
     write_start(known=100.0)  # of no state
     assert assimilate(START, DATED, "output=b.csv") == 2
     assert assimilate(START, DATED, "output=b.csv", "start_sd=[0.1,1e-4]") == 0
@@ -176,7 +179,7 @@ def test_the_output_of_a_filter_is_a_start_of_all_commands():
 
 def test_a_start_of_positions_says_how_one_comes_by_a_state(capsys):
     assert assimilate("start=fixes.csv", PLAIN, "start_sd=[1,1]") == 2
-    assert "received x, y, z alone. The output of ahnn.assimilate" in capsys.readouterr().err
+    assert "received x, y, z only. The output of ahnn.assimilate" in capsys.readouterr().err
 
 
 NOTHING = {
@@ -230,6 +233,6 @@ def test_a_key_that_changed_beside_a_saved_state_is_named(key, capsys):
     assert assimilate(*command) == 0
     before = Path("out.csv").read_bytes()
     assert assimilate(*command, *CHANGES[key]) == 2
-    assert f"{key}: expected the value stored in a.state; received another" in capsys.readouterr().err
+    assert f"{key}: expected the value stored in a.state; received a different" in capsys.readouterr().err
     assert Path("out.csv").read_bytes() == before
     assert assimilate(*command) == 0

@@ -75,7 +75,7 @@ def test_what_is_finished_is_kept_and_shown(tmp_path, capfd, caplog):
         finished(tmp_path, "spring", "hnn", draw, score)
     assert call("ahnn.benchmark", "spring", "draws=2", f"output={tmp_path}") == 0
     said = capfd.readouterr()
-    assert f"2 trainings in {tmp_path}, 2 finished" in caplog.text
+    assert f"2 training runs in {tmp_path}, 2 finished" in caplog.text
     assert "0.25 to 0.75" in said.out
     assert "published: theirs 0.5" in said.out
 
@@ -85,8 +85,8 @@ def test_what_is_finished_is_kept_and_shown(tmp_path, capfd, caplog):
     [
         ([], "usage: python -m ahnn.benchmark NAME"),
         (["draws=2"], "received no name"),
-        (["nowhere"], "benchmark: expected some of two_bodies"),
-        (["two_bodies", "models=[moon]"], "models: expected some of pairs; received moon"),
+        (["nowhere"], "benchmark: expected one or more of two_bodies"),
+        (["two_bodies", "models=[moon]"], "models: expected one or more of pairs; received moon"),
         (["two_bodies", "draws=0"], "draws"),
         (["two_bodies", "colour=red"], "colour"),
     ],
@@ -116,7 +116,7 @@ def test_a_failed_training_is_named_and_the_others_are_shown(tmp_path, monkeypat
     )
     assert call("ahnn.benchmark", "spring", "draws=2", f"output={tmp_path}") == 3
     said = capfd.readouterr()
-    assert "1 of 2 trainings failed, see above: spring/hnn 2" in said.err
+    assert "1 of 2 training runs failed, see above: spring/hnn 2" in said.err
     assert "0.25" in said.out
 
 

@@ -98,7 +98,7 @@ def test_every_difference_is_listed_with_both_values():
         require_same("checkpoint x", expected, received)
     lines = str(caught.value).splitlines()
     assert lines == [
-        "checkpoint x: it belongs to another training:",
+        "checkpoint x belongs to a different training run:",
         "  model.extra: expected nothing, received 2",
         "  model.width: expected 64, received 32",
         "  seed: expected 1, received nothing",

@@ -93,7 +93,7 @@ MADE = "expected a key that applies to a finished run, not to its training; "
         ("system.stiffness=nan", r"system\.stiffness: expected float > 0; received nan"),
         (
             "data.split=[0.2,0.2,0.6]",
-            r"test trajectories that the training has not seen.*11 of 12 are among those seen",
+            r"test trajectories not used in training.*11 of 12 were used",
         ),
         ("ckpt=first.ckpt", r"first\.ckpt: expected a file; received none"),
         ("name=a/b", r"evaluation name: expected at most.*received 'a/b'"),
@@ -168,7 +168,7 @@ def test_an_evaluation_never_touches_the_results_of_the_training(run):
     assert same.rows == trained.rows
     assert same.training["val_loss"] == trained.training["val_loss"]
     assert same.training["seconds"] == trained.training["seconds"]
-    assert same.training["data"] == "the test split of the training's data"
+    assert same.training["data"] == "the test split of the run's data"
     assert call(EVALUATE, f"run={run}", "name=again") == 2  # its name is taken
 
 
@@ -177,7 +177,7 @@ def test_what_is_given_acts(run, caplog):
     changed = again(run, "system.stiffness=9", "label=nine: again")
     assert changed.label == "nine: again"
     assert changed.rows != before.rows
-    said = "trajectories other than those of the training, with test trajectories it never saw"
+    said = "trajectories other than the training data, with test trajectories not used in training"
     assert changed.training["data"] == said
     assert changed.rows[0].note.splitlines()[0] == f"test data: {said}"
     assert said in caplog.text
@@ -191,7 +191,7 @@ def test_the_last_weights_are_the_best_only_where_nothing_chose_better_ones(run,
     if chosen:
         for asked in ([], ["ckpt=best"]):
             said = refused(run, capfd, f"run={run}", *asked)
-            assert "expected checkpoints/best.ckpt, the weights of the smallest val/rollout" in said
+            assert "expected checkpoints/best.ckpt, the weights with the smallest val/rollout" in said
         assert again(run, "ckpt=last").training["ckpt"] == "last"
         return
     content = read_checkpoint(last)

@@ -113,7 +113,7 @@ def test_without_the_package_the_missing_name_is_said(trained, monkeypatch, caps
     assert not entry_points(group="ahnn.dynamics")
     assert call("ahnn.evaluate", f"run={trained}") == 2
     err = capsys.readouterr().err
-    assert "received 'newton'. Others are those of installed packages that declare them" in err
+    assert "received 'newton'. Installed packages add kinds" in err
     with pytest.raises(UserError, match=r"objective: expected one of recursive, fitted_starts; rec"):
         make_curriculum(2, 4, {"objective": "endpoint"})
     with pytest.raises(UserError, match=r"integrator: expected one of euler, .*received 'ralston'"):

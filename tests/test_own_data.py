@@ -168,7 +168,7 @@ HUBER = ("loss.robust=huber", "recipe=measurements", "hamiltonian=mechanical")
         ([], "data.noise: expected the standard deviations of the recorded measurements"),
         (["data.noise=0.01"], "Use hamiltonian=mechanical or central_body"),
         (["data.noise=0.01", "recipe=measurements"], "Use hamiltonian=mechanical or central_body"),
-        (["data.noise=0.01", "data.measured=state", "recipe=measurements"], "received positions alone"),
+        (["data.noise=0.01", "data.measured=state", "recipe=measurements"], "received only positions"),
         (
             ["data.noise=0.01", "data.every=3", "recipe=measurements"],
             "nothing is added; received data.every=3",
@@ -219,5 +219,5 @@ def test_one_trajectory_makes_splits_only_when_it_is_cut(tmp_path, capfd):
     data.write_text("".join(data.read_text().splitlines(keepends=True)[:62]))
     given = [*SMALL, f"system.path={data}", "model=hnn", f"run={tmp_path / 'run'}", "trainer.max_epochs=1"]
     assert call("ahnn.train", *given) == 2
-    assert "or cut those of files with system.cut" in capfd.readouterr().err
+    assert "or cut trajectories of files with system.cut" in capfd.readouterr().err
     assert call("ahnn.train", *given, "system.cut=12", "data.split=[0.6,0.2,0.2]") == 0

@@ -33,64 +33,64 @@ def spoiled(finished, path, change):
 SPOILED = {
     "a moment of another shape": (
         lambda c: c["optimizer_states"][0]["state"][0].update(exp_avg=torch.zeros(3)),
-        "received others of optimizer_states.0.state.0.exp_avg",
+        "received different shapes of optimizer_states.0.state.0.exp_avg",
     ),
     "a step that is no number": (
         lambda c: c["optimizer_states"][0]["state"][0].update(step=torch.zeros(10_000)),
-        "received others of optimizer_states.0.state.0.step",
+        "received different shapes of optimizer_states.0.state.0.step",
     ),
     "a step of another type": (
         lambda c: c["optimizer_states"][0]["state"][0].update(step=torch.zeros((), dtype=torch.int64)),
-        "received others of optimizer_states.0.state.0.step",
+        "received different shapes of optimizer_states.0.state.0.step",
     ),
     "a tensor that is no moment": (
         lambda c: c["optimizer_states"][0]["state"][0].update(max_exp_avg_sq=torch.zeros(3)),
-        "received others of optimizer_states.0.state.0.max_exp_avg_sq",
+        "received different shapes of optimizer_states.0.state.0.max_exp_avg_sq",
     ),
     "a tensor in place of a number": (
         lambda c: c["optimizer_states"][0]["param_groups"][0].update(lr=torch.ones(3)),
-        "received others of optimizer_states.0.param_groups.0.lr",
+        "received different shapes of optimizer_states.0.param_groups.0.lr",
     ),
     "the state of a parameter that is not there": (
         lambda c: c["optimizer_states"][0]["state"].update({99: {"exp_avg": torch.zeros(3)}}),
-        "received others of optimizer_states.0.state.99.exp_avg",
+        "received different shapes of optimizer_states.0.state.99.exp_avg",
     ),
     "a missing moment": (
         lambda c: c["optimizer_states"][0]["state"][0].pop("exp_avg"),
-        "received others of optimizer_states.0.state.0.exp_avg",
+        "received different shapes of optimizer_states.0.state.0.exp_avg",
     ),
     "a missing option": (
         lambda c: c["optimizer_states"][0]["param_groups"][0].pop("betas"),
-        "received an incomplete one: KeyError('betas')",
+        "expected a complete checkpoint; received KeyError('betas')",
     ),
     "a parameter too many": (
         lambda c: c["optimizer_states"][0]["param_groups"][0]["params"].append(99),
-        "received an incomplete one: ValueError",
+        "expected a complete checkpoint; received ValueError",
     ),
     "no progress": (
         lambda c: c["loops"]["fit_loop"].update(epoch_progress={}),
-        "received an incomplete one: KeyError('total')",
+        "expected a complete checkpoint; received KeyError('total')",
     ),
     "no best value": (
         lambda c: c["callbacks"].update(BestPoint={"x": 1}),
-        "received an incomplete one: KeyError('best')",
+        "expected a complete checkpoint; received KeyError('best')",
     ),
     "a moment that is no tensor": (
         lambda c: c["optimizer_states"][0]["state"][0].update(exp_avg=None),
-        "received others of optimizer_states.0.state.0.exp_avg",
+        "received different shapes of optimizer_states.0.state.0.exp_avg",
     ),
     "a weight of another shape": (
         lambda c: c["state_dict"].update({"loss.unit": torch.ones(7)}),
-        "received others of loss.unit",
+        "received different shapes of loss.unit",
     ),
-    "a weight too many": (lambda c: c["state_dict"].update({"x": torch.ones(1)}), "received others of x"),
+    "a weight too many": (lambda c: c["state_dict"].update({"x": torch.ones(1)}), "different shapes of x"),
     "steps that are no number": (
         lambda c: c.update(global_step=torch.tensor(torch.nan)),
         "received one without global_step",
     ),
     "a version that is none": (
         lambda c: c.update({"pytorch-lightning_version": "x"}),
-        "received an incomplete one: ",
+        "expected a complete checkpoint; received ",
     ),
     "a tensor among what is known": (
         lambda c: c["ahnn"]["data"]["recipe"].update(seed=torch.zeros(3)),
@@ -128,7 +128,7 @@ def test_a_run_with_another_optimiser_goes_on_and_is_no_run_with_this_one(
     assert load_results(tmp_path / "run").training["steps"] == 30
     other = [*run[:-1], f"run={tmp_path / 'other'}", f"ckpt={finished / 'checkpoints' / 'last.ckpt'}"]
     assert call("ahnn.train", *other) == 2
-    assert "it belongs to another training" in capfd.readouterr().err
+    assert "belongs to a different training run" in capfd.readouterr().err
 
 
 def test_weights_that_are_not_finite_are_not_judged(finished, tmp_path):

@@ -107,12 +107,12 @@ WRONG = {
     "times": (lambda d: d._replace(times=d.times[:, :5]), r"times: expected shape \(40, 120\), or \(120,\)"),
     "order": (
         lambda d: d._replace(times=-d.times),
-        r"times: expected increasing ones; received \[-?0.0, -0.05\]",
+        r"times: expected increasing times; received \[-?0.0, -0.05\]",
     ),
     "infinite": (lambda d: d._replace(states=d.states / 0), r"NaN where a sample is absent; received"),
     "nothing": (
         lambda d: d._replace(states=d.states * torch.nan),
-        r"trajectory 0, row 1: expected a trajectory with a whole sample",
+        r"trajectory 0, row 1: expected a trajectory with a complete sample",
     ),
     "words": (lambda d: d._replace(states="a"), r"states: expected numbers"),
 }

@@ -225,6 +225,6 @@ def test_what_is_no_run_is_not_saved(tmp_path, wrong):
 
 def test_a_folder_with_content_is_left_alone(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(UserError, match="folder: expected a new one"):
+    with pytest.raises(UserError, match="folder: expected a new folder"):
         ahnn.save(free(), SPACE, 0.1, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]

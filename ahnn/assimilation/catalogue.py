@@ -29,8 +29,9 @@ class Catalogue:
     """Filters of many objects, each equivalent to an `Assimilation`.
 
     Readings arrive in tables. The k-th readings of all objects in a table form one batch step in which each
-    object has its own time: estimates equal those of individual filters, to rounding. An object whose filter
-    fails is lost: its last valid belief is kept, its later readings are ignored, and other objects continue.
+    object has its own time: estimates equal the results of individual filters, to rounding. An object whose
+    filter fails is lost: its last valid belief is kept, its later readings are ignored, and other objects
+    continue.
 
     Args:
         process: a Gaussian filter and its process model, without controls.
@@ -65,8 +66,8 @@ class Catalogue:
         moments = _checked_starts(start, None if objects is None else names, times)
         if clock_of(process.flow) > 1:
             message = (
-                "process: expected forces that depend only on state and time, for many objects; "
-                "received some that depend on controls"
+                "process: expected forces that depend only on state and time, for many objects; received "
+                "forces that depend on controls"
             )
             raise UserError(message)
         self.sensors, self.size = dict(sensors), start.mean.shape[-1]
@@ -117,7 +118,7 @@ class Catalogue:
             times: (K,) times.
             values: (K, M) measured values, NaN where missing.
             sensor: name of the sensor; None if there is only one.
-            deviations: (K, M) standard deviations, NaN for those of the sensor.
+            deviations: (K, M) standard deviations, NaN: as set for the sensor.
 
         Raises:
             UserError: an unknown sensor, or values of a wrong shape.
@@ -208,7 +209,10 @@ class Catalogue:
             sds = deviations[sensors == k][:, own]
             lacking = sensor.deviations is None and np.isnan(sds).any()
             if lacking or (sds <= 0).any():
-                message = f"sd: expected standard deviations > 0 for {name}; received others, or none"
+                message = (
+                    f"sd: expected a standard deviation > 0 for each measurement of {name}; received none "
+                    "or one <= 0"
+                )
                 raise UserError(message)
 
 

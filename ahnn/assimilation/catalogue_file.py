@@ -1,4 +1,4 @@
-"""Saving of a catalogue's beliefs and reading windows: restored bit for bit, without unpickling."""
+"""Saving of a catalogue's beliefs and reading windows: restored bit-identically, without unpickling."""
 
 from __future__ import annotations
 
@@ -84,10 +84,10 @@ def read_catalogue(
         raise UserError(message) from error
     if about["of"] != identity:
         expected = "a state of this model, process noise, gate, sensors and window"
-        message = f"state: expected {expected}; received {path} of different ones. {OTHERS}"
+        message = f"state: expected {expected}; received {path}, saved with different settings. {OTHERS}"
         raise UserError(message)
     if names is not None and names != about["names"]:
-        message = f"start: expected the {count} objects of {path}; received different ones. {OTHERS}"
+        message = f"start: expected the {count} objects of {path}; received different objects. {OTHERS}"
         raise UserError(message)
     objects.restore(about["names"], state, restored, *parts)
     return notes

@@ -74,7 +74,7 @@ class CatalogueRounds:
         found.means[place], found.covariances[place] = belief.mean, belief.covariance
 
     def _refused(self, times: Array, numbers: Places) -> Places:
-        """Return the fates of readings rejected by their times alone, -1 for others."""
+        """Return the fates of readings rejected only because of their times, -1 for all other readings."""
         now, fates = self.objects.times[numbers], np.full(len(times), -1)
         fates[times < np.maximum(now - self.limits.window, self.objects.since[numbers])] = LATE
         fates[times > now + self.limits.gap] = AHEAD

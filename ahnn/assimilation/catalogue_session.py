@@ -25,7 +25,7 @@ from ahnn.errors import UserError
 log = logging.getLogger("ahnn")
 
 SAID = 5
-"""Number of lines per table reported individually for each outcome; the others are only counted."""
+"""Number of lines per table reported individually for each outcome; more are only counted."""
 NAMED = 1000
 """Number of unknown object names remembered, so that each is reported once."""
 
@@ -86,7 +86,7 @@ class CatalogueSession(StreamSession):
             for numbers, columns in self.lines.batches(self.every):
                 parser = self._parser(self.lines.header)
                 if self.layout is None or self.layout.names is None:
-                    message = "measurements: expected names of columns; received those of JSON"
+                    message = "measurements: expected columns with names; received JSON"
                     raise UserError(message)
                 yield parser.of_columns(numbers, dict(zip(self.layout.names, columns, strict=True)))
             return
@@ -121,7 +121,7 @@ class CatalogueSession(StreamSession):
                 bad[parsed.lines[k]] = reason
             else:
                 name, line = parsed.table.objects[k], parsed.lines[k]
-                log.warning("line %d: object %s: %s. It is ignored from here on", line, name, reason)
+                log.warning("line %d: object %s: %s. Its later lines are ignored", line, name, reason)
         counts = np.bincount(found.fates, minlength=len(FATES)).tolist()
         self.counts.update({fate: count for fate, count in zip(FATES, counts, strict=True) if count})
         self.counts.update({"bad": len(parsed.bad)} if parsed.bad else {})

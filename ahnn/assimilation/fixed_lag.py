@@ -1,7 +1,7 @@
-"""Fixed-lag smoothing: the belief about an earlier time, given all readings since.
+"""Fixed-lag smoothing: the belief about an earlier time, given all later readings.
 
-The estimate of the newest reading is taken back through the steps of the filter, by the laws of the
-Rauch-Tung-Striebel smoother: it is that smoother of all readings so far, at one of their times.
+The newest estimate is carried back through the steps of the filter by the Rauch-Tung-Striebel smoother: the
+result is the smoother of all readings so far, at one of their times.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class LaggedEstimate(NamedTuple):
 def smoothed_at(window: ReadingWindow, time: float) -> LaggedEstimate | None:
     """Return the smoothed belief after the last reading that is not later than a time.
 
-    None where that lies before all that is kept, or before a reading that reopened the gate: an enlarged
+    None if that is earlier than all kept readings, or than a reading that reopened the gate: an enlarged
     covariance cannot be smoothed backwards.
     """
     first = bisect_right(window.entries, time, key=TIME)

@@ -13,8 +13,8 @@ class Reading(NamedTuple):
         time: time in the unit of the space.
         values: M measured values, NaN where missing.
         sensor: sensor name; "" for a single sensor.
-        deviations: M standard deviations; None for those of the sensor.
-        controls: m values valid from this time on, None for an unchanged one; () for no change.
+        deviations: M standard deviations; None: as set for the sensor.
+        controls: m values valid from this time, None for an unchanged one; () for no change.
 
     A reading without values belongs to no sensor: it changes controls, or requests a prediction.
     """

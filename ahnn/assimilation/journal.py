@@ -19,7 +19,7 @@ class Journal(io.RawIOBase):
     """Input stream of a pipe, which cannot be read twice, written to a file before use.
 
     Each piece is preceded by a line with its length and checksum; the first piece is the stream offset of the
-    others.
+    rest.
 
     Args:
         pipe: pipe to read.
@@ -46,7 +46,7 @@ class Journal(io.RawIOBase):
         self.saved(0)
 
     def resume(self, place: int) -> None:
-        """Resume at an offset of the stream, first with the journal's content from there on.
+        """Resume at an offset of the stream, first with the later content of the journal.
 
         Raises:
             UserError: the journal is missing or damaged.

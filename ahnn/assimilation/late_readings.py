@@ -33,7 +33,7 @@ class ReadingWindow(NamedTuple):
     Attributes:
         anchor: state before the first entry.
         since: time of the anchor.
-        held: controls valid from the anchor on.
+        held: controls valid from the time of the anchor.
         entries: kept readings in order of time.
     """
 
@@ -54,7 +54,7 @@ class ReadingWindow(NamedTuple):
 
     @property
     def controls(self) -> Held:
-        """Controls valid from the newest state on."""
+        """Controls valid from the time of the newest state."""
         return self.entries[-1].controls if self.entries else self.held
 
     def before(self, time: float) -> ReadingWindow:

@@ -62,7 +62,7 @@ class Lines:
         if self.digest != digest:
             message = (
                 f"measurements: expected the lines processed before, up to line {number}, unchanged; "
-                "received others. Append new lines, or start over with a new state and output"
+                "received different lines. Append new lines, or start over with a new state and output"
             )
             raise UserError(message)
 

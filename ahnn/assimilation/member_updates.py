@@ -17,7 +17,7 @@ from ahnn.estimation.member_steps import empty_rows, measured_at, member_rows, p
 TOGETHER = 1024
 """Number of objects that justifies one more core."""
 FAULT = -1
-"""Status of a reading that is not a valid measurement; others are those of filters."""
+"""Status of a reading that is not a valid measurement; all other values are statuses of filters."""
 
 
 class MeasuredRows(NamedTuple):
@@ -85,7 +85,7 @@ class MemberUpdates:
     def filtered(
         self, state: FilterState, numbers: Places, slots: Places, since: Array, given: MeasuredRows
     ) -> Told:
-        """Return what readings of objects (B,) make of rows of a state, each of which has its time (B,)."""
+        """Return the updates of rows of a state with readings of objects (B,), each at its time (B,)."""
         told = Told.room(state, len(slots), self.width)
         rows, begun = torch.from_numpy(slots), torch.from_numpy(since)
         own = torch.from_numpy(np.minimum(numbers, len(self.spreads) - 1))

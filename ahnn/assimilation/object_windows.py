@@ -44,13 +44,13 @@ class KeptRow(NamedTuple):
 
 
 class ObjectWindow(list[KeptRow]):
-    """Readings of one object in order of time, preceded by their prior belief.
+    """Readings of one object in chronological order, preceded by the belief held before the first of them.
 
     Without replay it contains only readings of the newest time, which share one row.
     """
 
     def place(self, time: float) -> int:
-        """Return the insertion index of a reading, after those of the same time."""
+        """Return the insertion index of a reading, after readings of the same time."""
         return bisect_right(self, time, key=TIME)
 
     def holds(self, time: float, sensor: int, values: list[float]) -> bool:
@@ -89,7 +89,7 @@ class FollowedObjects:
         times: (N,) times of the newest beliefs.
         since: (N,) times before which nothing is replayed.
         newest: (N,) row indices of the newest beliefs.
-        lost: (N,) statuses of failed filters, 0 for others.
+        lost: (N,) statuses of failed filters, 0 for all other filters.
     """
 
     def __init__(self, like: FilterState) -> None:

@@ -26,22 +26,23 @@ from ahnn.estimation.gaussian import GaussianFilter
 from ahnn.estimation.process_model import Process, StepLaw
 
 Outcome = Literal["taken", "reopened", "rejected", "predicted", "repeated", "late", "ahead"]
-"""Outcome of a reading: accepted, accepted by a wider belief, rejected by the gate, empty; or it
-was there already, it came too late, or it lies too far ahead. The last three leave the estimate as it was."""
+"""Outcome of a reading: accepted, accepted by a wider belief, rejected by the gate, empty, duplicate, too
+late, or too far ahead. The last three leave the estimate unchanged.
+"""
 
 
 class Estimate(NamedTuple):
     """Estimate after a reading.
 
     Attributes:
-        outcome: of the reading.
-        time: time of the estimate, that of the newest reading.
+        outcome: outcome of the reading.
+        time: time of the estimate and of the newest reading.
         mean: (D,).
         covariance: (D, D).
         innovation: innovation of the reading; None if the estimate did not change.
-        replayed: readings that came before it and are later than it.
-        modes: probabilities of the modes of interacting models; of other filters there are none.
-        smoothed: with a lag, the belief about the time that much earlier; None if unavailable.
+        replayed: number of later readings that were replayed.
+        modes: probabilities of the modes of interacting models; () for other filters.
+        smoothed: with a lag, the smoothed belief about the earlier time; None if unavailable.
     """
 
     outcome: Outcome
@@ -63,14 +64,14 @@ class Assimilation:
 
     Args:
         process: the estimator and its process model.
-        sensors: by name; a reading without a name belongs to the only sensor.
+        sensors: sensors by name; a reading without a name belongs to the only sensor.
         start: belief about the state, of one member.
         time: time of the belief.
         window: readings late by up to this are inserted at their time, and later ones are replayed.
-        lines: most readings that are kept for that.
-        gap: a reading further ahead is ignored; None is 10,000 steps of the flow.
-        controls: of a process model that has some, known ahead; None where readings bring them.
-        lag: estimates are also smoothed that much later, with the readings since; None smooths none.
+        lines: maximum number of readings kept for replay.
+        gap: a reading further ahead is ignored; None: 10,000 steps of the flow.
+        controls: controls of the process model, known in advance; None: the readings contain them.
+        lag: delay of additional estimates, smoothed with all later readings; None: no smoothing.
 
     Raises:
         UserError: a value beyond its limits, a start of several members, controls of another model, or a lag
@@ -145,7 +146,7 @@ class Assimilation:
 
     @property
     def modes(self) -> tuple[float, ...]:
-        """Probabilities of the modes of interacting models; () of other filters."""
+        """Probabilities of the modes of interacting models; () for other filters."""
         found: Tensor | None = getattr(self.window.state, "probabilities", None)
         return () if found is None else tuple(found[0].tolist())
 
@@ -208,14 +209,14 @@ class Assimilation:
         """Return the settings of a saved state that differ from ours, for messages; "" if none."""
         if notes["of"] != self.identity:
             return (
-                "state: expected a state of this model, process noise, gate, sensors and window; "
-                f"received {path} of different ones. Repeat the original command, or remove it and its "
-                "output to start over"
+                "state: expected a state of this model, process noise, gate, sensors and window; received "
+                f"{path}, saved with different settings. Repeat the original command, or remove both files"
             )
         if notes["controls"] != self.controls.hash_before(time):
             return (
-                f"controls: expected those of {path} up to time {time:g}; received different ones. Use "
-                "the same controls, with new rows only at the end, or start over with a new state and output"
+                f"controls: expected the controls stored in {path} up to time {time:g}; received different "
+                "controls. Use the same controls, with new rows only at the end, or start over with a new "
+                "state and output"
             )
         return ""
 

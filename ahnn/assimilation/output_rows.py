@@ -34,12 +34,12 @@ class Rows:
     """Formatter of estimates as rows.
 
     Args:
-        components: names of those of the state.
-        sensors: by name.
+        components: names of the components of the state.
+        sensors: sensors by name.
         kind: csv or json, or of many objects parquet.
-        said: units and frame, written to a sidecar; None writes none.
-        scales: (D,) divisors of the written components; None for no division.
-        modes: of interacting models, whose probabilities are columns.
+        said: units and frame, written to a sidecar; None: no sidecar.
+        scales: (D,) divisors of the written components; None: no division.
+        modes: number of modes of interacting models, whose probabilities are columns.
         lag: whether to write columns of smoothed estimates.
         clock: interpretation of times; with an epoch of time zero there is a column of epochs.
     """
@@ -110,7 +110,7 @@ class Rows:
         Args:
             text: text of an output.
             line: line number.
-            begin: whether the text is the whole output.
+            begin: whether the text is the entire output.
         """
         if begin and (head := self.header()):
             if len(text) < len(head):
@@ -191,11 +191,11 @@ class Output:
         head = rows.header().encode()[: self.size]
         self.file.seek(0)
         if self.file.read(len(head)) != head:
-            return "other content"
+            return "a changed file"
         begin = self.file.seek(max(0, self.size - TAIL))
         self._tail, behind = self.file.read(self.size - begin), self.file.read().decode(errors="replace")
         if self.digest != tail or not rows.wrote(behind, line, begin=self.size == 0):
-            return "other content"
+            return "a changed file"
         self.file.truncate(self.size)
         self.file.seek(self.size)
         return ""

@@ -77,9 +77,8 @@ class ParquetRows:
         del place
         if digest != self.digest:
             message = (
-                f"measurements: expected the file whose {number} rows were processed before; received "
-                "another. "
-                "Start over with a new state and output"
+                f"measurements: expected the file whose {number} rows were processed before; received a "
+                "different file. Start over with a new state and output"
             )
             raise UserError(message)
         self.number = self._skipped = number
@@ -114,7 +113,7 @@ class ParquetParts:
         whole = found.keys() >= {*range(1, parts + 1)}
         if not whole or (parts and digest_of(found[parts].read_bytes()) != tail):
             message = (
-                f"output: expected {path} unchanged, with {parts} parts; received other content. Start "
+                f"output: expected {path} unchanged, with {parts} parts; received a changed file. Start "
                 "over with a new state and output"
             )
             raise UserError(message)

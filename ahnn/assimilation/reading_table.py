@@ -12,7 +12,7 @@ from torch import Tensor
 from ahnn.assimilation.online import Outcome
 
 Fate = Outcome | Literal["bad", "lost", "unknown"]
-"""Outcomes of a reading: those for one object, or no finite estimate, lost object, or unknown object."""
+"""Outcomes of a reading: as for one object, or no finite estimate, lost object, or unknown object."""
 FATES: tuple[Fate, ...] = (
     *("taken", "reopened", "rejected", "predicted", "repeated", "late", "ahead"),
     *("bad", "lost", "unknown"),
@@ -26,14 +26,14 @@ Places = NDArray[np.int64]
 
 
 class ReadingTable(NamedTuple):
-    """Table of Table of K readings.
+    """Table of K readings.
 
     Attributes:
         objects: names of the measured objects.
         times: (K,) times in the unit of the space.
         sensors: (K,) sensor indices, -1 for a request for a prediction.
         values: (K, W) values in the columns of all sensors, NaN where missing.
-        deviations: (K, W) standard deviations, NaN for those of the sensor.
+        deviations: (K, W) standard deviations, NaN: as set for the sensor.
     """
 
     objects: list[str]
@@ -56,7 +56,7 @@ class CatalogueEstimates(NamedTuple):
         nis: (K,) normalised innovation squared.
         measured: (K,) number of measured values.
         replayed: (K,) number of later readings that were replayed.
-        reasons: by reading index, the reason for a lost object or an invalid measurement.
+        reasons: reason for each lost object or invalid measurement, by reading index.
     """
 
     fates: NDArray[np.int8]

@@ -32,7 +32,7 @@ class Session(StreamSession):
     """Session for one object; arguments as in `StreamSession`, preceded by an `Assimilation`.
 
     Attributes:
-        fitted: number of the last line of measurements that the start was fitted to, which are left out.
+        fitted: number of the last line to which the start was fitted; lines up to it are skipped.
         undated: whether nothing states the time of the start.
     """
 

@@ -42,7 +42,7 @@ class Begin(NamedTuple):
 def belief_of(
     found: Starts, deviations: list[float] | None, space: Space, carry: Carry, *, many: bool = False
 ) -> Belief:
-    """Return the belief of a single start, or those of many objects.
+    """Return the belief of a single start, or the beliefs of many objects.
 
     Args:
         found: starts found in the input.
@@ -64,18 +64,19 @@ def belief_of(
         covariance = state_deviations(deviations, space, "start_sd").square().diag()
     elif found.since is not None and many:
         message = (
-            "start: expected covariances of the last states; received those of earlier ones. Add start_sd="
+            "start: expected covariances of the last states; received covariances of earlier states. Add "
+            "start_sd="
         )
         raise UserError(message)
     elif found.since is not None:
         times, states = found.since
         covariance = carry(states, torch.cat((times, found.times)), covariance)
         span = f"{float(found.times - times):g} {space.units.time}"
-        log.info("start: its covariance is that of a state %s earlier, propagated by the model", span)
+        log.info("start: its covariance is propagated by the model from a state %s earlier", span)
     try:
         return initial_belief(found.states, covariance)
     except ValueError as error:
-        message = f"start: expected a state with a valid covariance; received another ({error})"
+        message = f"start: expected a valid covariance; received an invalid one ({error})"
         raise UserError(message) from error
 
 
@@ -120,7 +121,9 @@ def dated(text: str, clock: StreamClock) -> float:
         UserError: an invalid date, or no epoch of time zero.
     """
     if clock.zero is None:
-        message = f"time: expected epoch= of time zero beside a date; received {text} without it. Add epoch="
+        message = (
+            f"time: expected a date together with epoch= of time zero; received {text} without it. Add epoch="
+        )
         raise UserError(message)
     try:
         return clock.time(text)

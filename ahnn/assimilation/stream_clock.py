@@ -21,7 +21,7 @@ class StreamClock(NamedTuple):
         system: time scale of epochs, such as UTC.
         scale: unit of the stream's numeric times, in `unit`.
         dated: whether only epochs are accepted, because the origin of numeric times is unknown.
-        cells: time scale of the epochs in a stream; "" for that of time zero.
+        cells: time scale of the epochs in a stream; "": the time scale of time zero.
     """
 
     unit: str

@@ -64,8 +64,8 @@ class StreamControls(NamedTuple):
             return
         if self.known is not None:
             message = (
-                f"controls: expected a table, or readings with controls; received both, {given} in the "
-                f"reading at time {reading.time:g}. Leave one out"
+                "controls: expected controls either in a table or in readings; received a table and "
+                f"{given} at time {reading.time:g}. Leave one out"
             )
             raise UserError(message)
         fits = len(given) == self.size and all(u is None or abs(u) <= LARGEST for u in given)
@@ -76,7 +76,7 @@ class StreamControls(NamedTuple):
             raise UserError(message)
 
     def after(self, held: Held, reading: Reading) -> Held:
-        """Return the controls valid from a reading on, given those before it."""
+        """Return the controls valid after a reading, given the controls before it."""
         if not reading.controls:
             return held
         return tuple(u if new is None else new for u, new in zip(held, reading.controls, strict=True))
@@ -93,9 +93,8 @@ class StreamControls(NamedTuple):
             known = self.size - held.count(None)
             received = f"{known} of {self.size}" if known else "none"
             message = (
-                f"controls: expected values from the start on, at time {since:g}; received {received} "
-                f"before a reading at time {time:g}. Begin with one of time {since:g} that has them, or "
-                "set controls="
+                f"controls: expected values at the start, time {since:g}; received {received} before a "
+                f"reading at time {time:g}. Begin with one of time {since:g} that has them, or set controls="
             )
             raise UserError(message)
         return self._held(held, since)

@@ -81,7 +81,7 @@ class StreamModels:
         return suspect & ~_lost(usual)
 
     def beyond_patience(self, state: EstimatorState, innovation: Innovation) -> Tensor:
-        """Return the members, (B,) bool, whose gate has refused as many readings in a row as it may."""
+        """Return the members, (B,) bool, whose gate has rejected as many consecutive readings as it may."""
         gate: Gate | None = getattr(self.process.estimator, "gate", None)
         if gate is None or not gate.reopens:
             return torch.zeros_like(innovation.rejected)

@@ -34,7 +34,7 @@ FEW = 30
 LEAST = 10
 """Number of lines below which the fraction of accepted ones is not judged."""
 MANY = 0.05
-"""Fraction of refused measurements that outliers alone seldom are."""
+"""Fraction of rejected measurements that outliers rarely reach."""
 REMEDIES = {
     "none": "Add lines",
     "bad": "The lines above state the faults",
@@ -107,7 +107,7 @@ class StreamSession:
         lines: lines of the stream.
         rows: formatter of estimates.
         output: path of the output file, `-` for standard output.
-        state: path of the state; None for no saving.
+        state: path of the state; None: not saved.
         every: number of lines between saved states.
         clock: interpretation of times; None for plain numbers.
         controls: names of the controls of the model.
@@ -132,7 +132,7 @@ class StreamSession:
         self.state, self.every = state, every
         self.counts: Counter[str] = Counter()
         self.nis, self.numbers = 0.0, 0
-        self.disordered = 0  # late lines that do not precede the start, of this command
+        self.disordered = 0  # late lines of this command, timed after the start
         self.layout: Layout | None = None
         self.header, self.path = "", output
         self.beside = None if output == "-" or rows.said is None else Path(output)
@@ -164,7 +164,8 @@ class StreamSession:
         fraction = refused / (refused + opened + self.counts["taken"])
         if not opened and fraction < MANY:
             return ""
-        times = f", and reopened {opened:,} times after too many in a row" if opened else ""
+        count = "once" if opened == 1 else f"{opened:,} times"
+        times = f", and reopened {count} after too many consecutive rejections" if opened else ""
         return f"; the gate rejected {100 * fraction:.2g} % of the measurements{times}"
 
     def close(self) -> None:
@@ -277,8 +278,8 @@ class StreamSession:
         theirs = {"format": known.kind, CLOCK: known.clock, **known.begun}
         if changed := [key for key, value in mine.items() if theirs.get(key) != value]:
             message = (
-                f"{changed[0]}: expected the value stored in {self.state}; received another. Repeat the "
-                "original command, or start over with a new state and output"
+                f"{changed[0]}: expected the value stored in {self.state}; received a different value. "
+                "Repeat the original command, or start over with a new state and output"
             )
             raise UserError(message)
         self.header, self.nis, self.numbers = known.header, known.nis, known.numbers

@@ -124,7 +124,7 @@ class TableParser:
         return times
 
     def _complete(self, sensors: Places, values: Array, deviations: Array, plain: Mask) -> None:
-        """Fill in standard deviations, as `Layout` does; rows with unknown ones are not plain."""
+        """Fill in standard deviations, like `Layout`; rows with unknown deviations are not plain."""
         own, seen = self.own[sensors], self.seen[sensors]
         bare = np.isnan(deviations).all(1) & ~np.any(np.isnan(own) & seen, axis=1)
         filled = np.where(np.isnan(deviations), own, deviations)

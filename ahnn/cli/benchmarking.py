@@ -1,4 +1,4 @@
-"""Benchmark command: trainings on published tasks, and the table of their scores."""
+"""Benchmark command: training runs on published tasks, and the table of their scores."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class BenchmarkRequest:
 
 
 class DrawnTraining(NamedTuple):
-    """One training on a task: model, draw, and folder."""
+    """One training run on a task: model, draw, and folder."""
 
     task: str
     model: str
@@ -50,7 +50,7 @@ def benchmark(arguments: list[str], usage: str) -> None:
 
     Raises:
         UserError: unknown tasks or models, or a folder with other content.
-        TrainingError: some trainings failed; the others are in the table.
+        TrainingError: some training runs failed; all other runs are in the table.
     """
     names, pairs = divided(arguments)
     asked = read_pairs(pairs or ["jobs=1"], BenchmarkRequest, usage)
@@ -67,14 +67,14 @@ def benchmark(arguments: list[str], usage: str) -> None:
         show(table(name, task, scores_of(name, plan)))
     if failed:
         places = ", ".join(f"{t.task}/{t.model} {t.draw + 1}" for t in failed)
-        message = f"benchmark: {len(failed)} of {len(plan)} trainings failed, see above: {places}"
+        message = f"benchmark: {len(failed)} of {len(plan)} training runs failed, see above: {places}"
         raise TrainingError(message)
 
 
 def tasks_of(names: list[str], usage: str) -> dict[str, FieldTask]:
     """Return tasks by name; raises UserError for no or unknown names."""
     if unknown := [name for name in names if name not in (*TASKS, "all")]:
-        message = f"benchmark: expected some of {', '.join(TASKS)}, or all; received {unknown[0]}"
+        message = f"benchmark: expected one or more of {', '.join(TASKS)}, or all; received {unknown[0]}"
         raise UserError(message)
     if not names:
         message = f"{usage}; received no name"
@@ -83,10 +83,10 @@ def tasks_of(names: list[str], usage: str) -> dict[str, FieldTask]:
 
 
 def trainings(tasks: dict[str, FieldTask], asked: BenchmarkRequest) -> Iterator[DrawnTraining]:
-    """Yield the trainings of tasks, draw by draw; raises UserError for an unknown model."""
+    """Yield the training runs of tasks, draw by draw; raises UserError for an unknown model."""
     known = list(dict.fromkeys(model for task in tasks.values() for model in task.models))
     if unknown := [model for model in asked.models if model not in known]:
-        message = f"models: expected some of {', '.join(known)}; received {unknown[0]}"
+        message = f"models: expected one or more of {', '.join(known)}; received {unknown[0]}"
         raise UserError(message)
     draws = range(asked.draws) if asked.only is None else [asked.only - 1]
     for name, task in tasks.items():
@@ -99,9 +99,9 @@ def trainings(tasks: dict[str, FieldTask], asked: BenchmarkRequest) -> Iterator[
 
 
 def run(plan: list[DrawnTraining], asked: BenchmarkRequest) -> list[DrawnTraining]:
-    """Run the unfinished trainings, each in a separate process; return the failed ones."""
+    """Run the unfinished training runs, each in a separate process; return the failed runs."""
     done = sum(map(finished, plan))
-    log.info("benchmark: %d trainings in %s, %d finished", len(plan), asked.output, done)
+    log.info("benchmark: %d training runs in %s, %d finished", len(plan), asked.output, done)
 
     def words(training: DrawnTraining) -> list[str]:
         own = [training.task, f"models=[{training.model}]", f"only={training.draw + 1}"]

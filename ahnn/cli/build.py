@@ -46,7 +46,7 @@ def factories(parts: Mapping[str, Part]) -> dict[str, Callable[..., Any]]:
 
 
 def factory(who: str, part: Part) -> Callable[..., Any]:
-    """Return the factory of a node; raises as `factories`."""
+    """Return the factory of a node; raises the errors of `factories`."""
     arguments = plain_config(part.node) if isinstance(part.node, DictConfig) else {}
     target = arguments.pop("_target_", None)
     partial = arguments.pop("_partial_", False)
@@ -80,7 +80,7 @@ def factory(who: str, part: Part) -> Callable[..., Any]:
 
 
 def build(node: Any, who: str, kind: type = object, **offered: Any) -> Any:
-    """Instantiate the `_target_` of a node after checking its arguments; raises as `factories`."""
+    """Instantiate the `_target_` of a node after checking its arguments; raises the errors of `factories`."""
     return factory(who, Part(node, kind, offered))(**offered)
 
 
@@ -130,7 +130,7 @@ def stored(cfg: DictConfig) -> bytes:
 
 
 def new_folder(path: str) -> str:
-    """Create a folder of a given, possibly numbered, name for this process alone; YAML resolver.
+    """Create a folder of a given, possibly numbered, name only for this process; YAML resolver.
 
     No folder is created for jobs whose folder Hydra has set, or for read-only commands.
     """

@@ -1,4 +1,4 @@
-"""From a command line to trainings on draws of truth, noise and weights, and the test of their bands."""
+"""From a command line to training runs on draws of truth, noise and weights, and the test of their bands."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ DRAWN = ("run", "seed", "seeds", "data.seed", "ckpt")
 
 @dataclass(frozen=True)
 class CalibrationRequest:
-    """Options of the command other than those of the training."""
+    """Options of the command, without options of the training."""
 
     draws: Count = 20
     spread: Annotated[float, Within(0, 1)] = 0.1
     jobs: Count = 1
     output: str = "runs/calibration"
-    only: Count | None = None  # this draw alone, counted from 1: what the command starts
+    only: Count | None = None  # only this draw, counted from 1; the command starts itself with it
 
 
 class CalibrationDraw(NamedTuple):
-    """One draw: its number, counted from 1, and where it is."""
+    """One draw: its number, counted from 1, and its folder."""
 
     number: int
     folder: Path
@@ -50,8 +50,8 @@ def calibrate(arguments: list[str]) -> None:
     """Train the unfinished draws, and show and plot the test of all draws.
 
     Raises:
-        UserError: a training that does not compose, or not one on measurements of a system.
-        TrainingError: some trainings failed; the others are in the table.
+        UserError: options that do not compose, or no training on measurements of a system.
+        TrainingError: some training runs failed; all other runs are in the table.
     """
     keys = {field.name for field in fields(CalibrationRequest)}
     own = [text for text in arguments if text.partition("=")[0] in keys]
@@ -83,12 +83,12 @@ def calibrate(arguments: list[str]) -> None:
         rank_figure(scores).savefig(Path(asked.output, FIGURE), dpi=120)
     if failed:
         places = ", ".join(str(draw.number) for draw in failed)
-        message = f"calibrate: {len(failed)} of {len(plan)} trainings failed, see above: draw {places}"
+        message = f"calibrate: {len(failed)} of {len(plan)} training runs failed, see above: draw {places}"
         raise TrainingError(message)
 
 
 def constants_of(overrides: list[str], spread: float, number: int) -> list[str]:
-    """Return the constants of the system in a draw, as overrides; raises UserError as `calibrate`."""
+    """Return the constants of the system in a draw, as overrides; raises the UserErrors of `calibrate`."""
     from ahnn.cli.compose import compose_job
     from ahnn.cli.parts import build_sensor, build_source
 
@@ -96,8 +96,8 @@ def constants_of(overrides: list[str], spread: float, number: int) -> list[str]:
     source = build_source(cfg)
     if source.truth is None or build_sensor(cfg, source) is None:
         message = (
-            "calibrate: expected simulated measurements of a system; received exact states or files. "
-            "Add sensor= or data.noise=, such as experiment=spring_noisy"
+            "calibrate: expected simulated measurements of a system; received exact states or files. Add "
+            "sensor= or data.noise=, such as experiment=spring_noisy"
         )
         raise UserError(message)
     drawn = random.Random(number)

@@ -1,6 +1,6 @@
 """Composition of the command line before Hydra, so that every mistake gives one message.
 
-Options and keys are those of the search path: this package's conf/, `--config-dir`, `hydra.searchpath` and
+Options and keys are read from the search path: this package's conf/, `--config-dir`, `hydra.searchpath` and
 plugins that extend it, so that user-defined options are also found and suggested.
 """
 
@@ -42,7 +42,7 @@ TEXTS = ("run", "pretrained", "ckpt", "weights", "name", "label", "start", "meas
 TEXTS += ("figure", "figures", "oem", "object", "system.path", "system.name", "data.cache")
 """Keys that name files, folders or things."""
 LISTS = ("run", "system.path")
-"""Those of them that accept several values."""
+"""Keys that accept several values."""
 BARE = re.compile(r"\s*(true|false|[+-]?(inf|nan|(\d[\d_]*\.?\d*|\.\d+)(e[+-]?\d+)?))\s*", re.IGNORECASE)
 """Pattern of numbers and truth values in Hydra's grammar."""
 NAMES_A_RECIPE = ("recipe=", "loss=")
@@ -132,7 +132,7 @@ def config_loader(folder: str | None = None) -> ConfigLoaderImpl:
 
 
 def check(args: Namespace, config_name: str) -> DictConfig | None:
-    """Compose the jobs of a command line, each swept group option with the first of all others.
+    """Compose the jobs of a command line, each swept group option with the first option of all other groups.
 
     Returns the configuration of the first job, or None without a job.
 
@@ -250,10 +250,10 @@ def check_recipe(cfg: DictConfig, overrides: Iterable[str]) -> None:
             raise UserError(message)
     elif noise is not None and not any(text.startswith(NAMES_A_RECIPE) for text in overrides):
         message = (
-            "data.noise: expected a recipe for noisy measurements; received noise with one for exact "
-            "samples. Use recipe=measurements, recipe=noisy_states for dense samples of whole states, "
-            "recipe=dense_states for those of orbits, or an option of sensor, which brings a recipe, "
-            "sensor=recorded for files"
+            "data.noise: expected a recipe for noisy measurements; received noise with a recipe for exact "
+            "samples. Use recipe=measurements, recipe=noisy_states for dense samples of states, "
+            "recipe=dense_states for dense samples of orbits, or an option of sensor (sensor=recorded "
+            "for files), which selects a recipe"
         )
         raise UserError(message)
 
@@ -262,7 +262,7 @@ def check_potential(cfg: DictConfig, overrides: Iterable[str]) -> None:
     """Reject an implicit sensor recipe that is known to fail from random initial weights.
 
     Raises:
-        UserError: positions of orbits with unknown potential and shooting from the first step on.
+        UserError: positions of orbits with unknown potential and shooting in the first stage.
     """
     choices = OmegaConf.select(cfg, "hydra.runtime.choices") or {}
     meant = choices.get("sensor") == "orbit_positions" and choices.get("hamiltonian") == "mechanical"
@@ -271,7 +271,7 @@ def check_potential(cfg: DictConfig, overrides: Iterable[str]) -> None:
     named = any(text.startswith(NAMES_A_RECIPE) for text in overrides)
     if meant and isinstance(stages[0][0], int) and not begun and not named:
         message = (
-            "recipe: expected one that learns a whole potential from positions of orbits; received none, "
+            "recipe: expected a recipe that learns a full potential from positions of orbits; received none, "
             "and the sensor's default recipe does not find the orbits. Use recipe=noisy_positions, or "
             "hamiltonian=central_body if the central body is known"
         )
@@ -279,7 +279,7 @@ def check_potential(cfg: DictConfig, overrides: Iterable[str]) -> None:
 
 
 def nearest_key(wrong: str, known: Iterable[str]) -> str:
-    """Return a hint with the dotted key that is closest to a wrong one, as a whole or in its last part.
+    """Return a hint with the dotted key that is closest to a wrong key, in full or in its last part.
 
     Without a close match the hint lists only the top level, since all keys fill several pages.
     """

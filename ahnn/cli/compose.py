@@ -1,4 +1,4 @@
-"""Composition of jobs without a command line: any configuration, a training, or a sweep."""
+"""Composition of jobs without a command line: any configuration, a training run, or a sweep."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from ahnn.cli.commandline import alternatives, compose, config_loader, parse, wo
 from ahnn.cli.unreferenced_keys import require_referenced
 
 LEARNS = ("sensor", "recipe", "loss", "experiment")
-"""Groups that say how noise is learned from."""
+"""Groups that define how to learn from noisy data."""
 
 
 def with_recorded(texts: Sequence[str]) -> list[str]:
-    """Add sensor=recorded where numbers from outside have noise, and no option says how to learn from it."""
+    """Add sensor=recorded for recorded data with noise if no option defines how to learn from it."""
     noisy = any(text.startswith("data.noise=") and text != "data.noise=null" for text in texts)
     if "system=files" not in texts or not noisy or {text.partition("=")[0] for text in texts} & {*LEARNS}:
         return [*texts]
@@ -41,7 +41,7 @@ def composed(name: str, overrides: Sequence[str], *, partly: bool = False) -> Di
 
 
 def compose_job(overrides: Sequence[str], folder: Path) -> DictConfig:
-    """Compose a training in a folder, without plugins unless requested; raises as `composed`."""
+    """Compose a training run in a folder, by default without plugins; raises the errors of `composed`."""
     defaults = [] if any(text.startswith("plugins=") for text in overrides) else ["plugins=none"]
     cfg = composed("train", [*defaults, *overrides])
     cfg.folder = cfg.run = str(folder).replace("${", r"\${")  # prevents interpolation of the folder name
@@ -49,7 +49,7 @@ def compose_job(overrides: Sequence[str], folder: Path) -> DictConfig:
 
 
 def compose_sweep(overrides: Sequence[str]) -> list[DictConfig]:
-    """Compose the trainings of Hydra's basic sweeper for overrides, in order; raises as `composed`."""
+    """Compose the jobs of Hydra's basic sweeper for overrides, in order; raises the errors of `composed`."""
     loader = config_loader()
     single = [text for text in overrides if not parse(text).is_sweep_override()]
     for text in overrides:

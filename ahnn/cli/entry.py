@@ -55,11 +55,11 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
         if stop := arrived():  # composition swallowed the exception
             raise stop
         if HydraConfig.get().mode is RunMode.MULTIRUN or cfg.get("trial") is not None:
-            return task(cfg)  # who runs several jobs has to see how each of them ended
+            return task(cfg)  # the launcher of several jobs must see how each job ended
         if code := guard(lambda: task(cfg)):
             if is_new:
                 forget(folder := Path(HydraConfig.get().runtime.output_dir))
-                for path in above if own is not None else (folder.parent, *above):  # folder of the day
+                for path in above if own is not None else (folder.parent, *above):  # the folder named by date
                     with contextlib.suppress(OSError):
                         path.rmdir()
             leave(code)  # bypasses Hydra, which would report an error
@@ -100,7 +100,7 @@ def named_folder(overrides: Sequence[str]) -> Path | None:
 
 
 def forget(folder: Path) -> None:
-    """Remove the empty folder of a run that never began, including those of its seeds."""
+    """Remove the empty folder of a run that never began, including the folders of its seeds."""
     if not any((f / "config.yaml").exists() for f in (folder, *folder.glob("seed_*"))):
         shutil.rmtree(folder / ".hydra", ignore_errors=True)
         with contextlib.suppress(OSError):

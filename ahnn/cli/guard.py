@@ -1,7 +1,8 @@
 """Conversion of errors to one message and an exit code.
 
 Exit codes: 0 done, 2 user error, 3 training failed, 128 + n stopped by signal n: 130 for Ctrl-C, 143 for
-SIGTERM and 129 for SIGHUP. A closed pipe, as with `| head`, gives that of SIGPIPE, 141, without a message.
+SIGTERM and 129 for SIGHUP. A closed pipe, as with `| head`, gives the code of SIGPIPE, 141, without a
+message.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ def guard(entry: Callable[[], Any]) -> int:
         if of_configuration(error):  # some are OSErrors
             return report(configured(error))
         if isinstance(error, MemoryError) or NO_MEMORY.search(str(error)):
-            said = " ".join(str(error).split()) or "the system refused a request"
+            said = " ".join(str(error).split()) or "the system denied a request"
             return report(f"memory: expected a job that fits; received: {said}. Reduce its size")
         if in_library(error):
             said = " ".join(f"{type(error).__name__}: {error}".split())
@@ -77,7 +78,7 @@ def guard(entry: Callable[[], Any]) -> int:
         if not isinstance(error, OSError):
             raise
         if isinstance(error, BrokenPipeError):
-            return 141  # 128 + SIGPIPE, a signal that Windows does not know
+            return 141  # 128 + SIGPIPE, a signal that Windows lacks
         place = f"file {error.filename}" if error.filename else "standard output or a file"
         return report(f"{place}: {error.strerror or error}")
     return 0
@@ -85,7 +86,7 @@ def guard(entry: Callable[[], Any]) -> int:
 
 @functools.cache
 def _end_quietly() -> None:
-    """Discard what libraries print after the exit handlers, if Triton is imported.
+    """Discard output of libraries after the exit handlers, if Triton is imported.
 
     Lightning imports it; Triton 3.9 then reports thirty lines of leaks at each end of a process.
     """
@@ -95,7 +96,7 @@ def _end_quietly() -> None:
             sys.stderr.flush()
             os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
 
-    atexit.register(discard)  # before those of libraries, and so called after them
+    atexit.register(discard)  # registered before the handlers of libraries, and therefore called after them
 
 
 def leave(code: int) -> NoReturn:

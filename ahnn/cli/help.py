@@ -35,7 +35,7 @@ MORE = """
 recipe, model, system, sweep and experiment choose options of other groups as
 well; the command line takes precedence.
 
-  ckpt=last             resume a run: repeat its whole command, and add this
+  ckpt=last             resume a run: repeat its command with this added
   --help GROUP=OPTION   the keys of an option with their comments
   --cfg job             configuration; --resolve resolves references
   -m                    several jobs: all combinations of KEY=A,B, or a sweep=
@@ -87,7 +87,7 @@ def group_lines(loader: ConfigLoaderImpl) -> Iterator[str]:
 
 
 def option_text(loader: ConfigLoaderImpl, group: str, option: str) -> Iterator[str]:
-    """Yield the YAML of an option, preceded by that of its base options.
+    """Yield the YAML of an option, preceded by the YAML of its base options.
 
     Raises:
         UserError: unknown option.

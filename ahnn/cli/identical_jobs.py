@@ -1,4 +1,4 @@
-"""Detection of sweep jobs with identical trainings, before the first begins."""
+"""Detection of sweep jobs that train identically, before the first job begins."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from omegaconf import DictConfig, OmegaConf
 log = logging.getLogger(__name__)
 
 NAMES = ("label", "model_label", "run", "folder", "hydra", "required")
-"""Keys that label a training without affecting it."""
+"""Keys that label a run without affecting the training."""
 
 
 def warn_of_twins(jobs: Iterable[DictConfig], names: Iterable[str]) -> None:
-    """Warn of each job whose training equals that of an earlier one."""
+    """Warn of each job that trains the same weights as an earlier job."""
     seen: dict[str, str] = {}
     for cfg, name in zip(jobs, names, strict=True):
         first = seen.setdefault(repr(decisive(cfg)), name)
@@ -24,7 +24,7 @@ def warn_of_twins(jobs: Iterable[DictConfig], names: Iterable[str]) -> None:
 
 
 def decisive(cfg: DictConfig) -> dict[str, Any]:
-    """Return the settings that determine a training; W only if recursive predictions are used."""
+    """Return the settings that determine the training; W only if recursive predictions are used."""
     plain: Any = OmegaConf.to_container(cfg, resolve=False)
     return {
         key: plain[key] for key in sorted(plain) if key not in NAMES and (key != "window" or _recurs(cfg))

@@ -17,17 +17,17 @@ from ahnn.files import claimed, whole_folder
 
 log = logging.getLogger("ahnn")
 SIGNALLED = 128
-"""Exit codes from here on are those of signals."""
+"""Exit codes above this belong to signals."""
 SCORE = "score.json"
-"""Of a draw, in its folder beside the run."""
+"""Name of the file of a score, next to the run in the folder of a draw."""
 
 
 class NumberedDraw(Protocol):
-    """One training among many."""
+    """One training run of a study."""
 
     @property
     def folder(self) -> Path:
-        """Where its run and its score are."""
+        """Folder of its run and its score."""
         ...
 
 
@@ -35,7 +35,7 @@ D = TypeVar("D", bound=NumberedDraw)
 
 
 def finished(draw: NumberedDraw) -> bool:
-    """Return whether the score is there; the folder appears with it."""
+    """Return whether the score exists; the folder appears with it."""
     return (draw.folder / SCORE).is_file()
 
 
@@ -49,7 +49,7 @@ def run_missing(plan: Sequence[D], words: Callable[[D], list[str]], jobs: int) -
 
     Args:
         plan: all draws.
-        words: what follows `python -m` for one of them.
+        words: returns the arguments of `python -m` for a draw.
         jobs: processes at a time.
     """
     left = [draw for draw in plan if not finished(draw)]
@@ -64,7 +64,7 @@ def run_missing(plan: Sequence[D], words: Callable[[D], list[str]], jobs: int) -
         )
         children.add(child)
         said = child.communicate()[1].decode(errors="replace").strip().splitlines()
-        if child.returncode < SIGNALLED:  # who stopped it has said so
+        if child.returncode < SIGNALLED:  # stops by signal are reported elsewhere
             log.info("%s", said[-1] if said else f"{draw.folder}: ended without a message")
         return child.returncode == 0
 

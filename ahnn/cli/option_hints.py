@@ -10,7 +10,7 @@ from hydra.core.override_parser.types import Override
 from ahnn.arguments import nearest
 from ahnn.errors import UserError
 
-OWN = ". For options of your own add --config-dir FOLDER"
+OWN = ". For your own options add --config-dir FOLDER"
 
 
 def unknown_option(loader: ConfigLoaderImpl, group: str, option: str, known: Iterable[str]) -> str:

@@ -13,7 +13,7 @@ from ahnn.jobs.determining import OrbitRequest
 from ahnn.tracking.orbit_setup import setup_of
 
 OWN = ("folder", "out")
-"""Keys of the command in addition to those of the file."""
+"""Keys of the command in addition to the keys of the file."""
 
 
 def read_orbit(arguments: list[str], usage: str) -> OrbitRequest:

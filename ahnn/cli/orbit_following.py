@@ -30,15 +30,15 @@ FOREIGN = (
     "time_system",
     "time",
 )
-"""Keys of a stream that an orbit determination says itself, or has no use for."""
+"""Keys of a stream that an orbit determination sets itself or does not use."""
 DEFAULT = "plugins=ukf"
 
 
 def read_following(arguments: list[str], usage: str) -> Stream:
-    """Return the stream that a command line asks for.
+    """Return the stream requested by a command line.
 
     Raises:
-        UserError: no such file, an unknown key, or options that do not go together.
+        UserError: no such file, an unknown key, or incompatible options.
         TrainingError: the start is fitted, and there is no fit.
     """
     given = ["watch=true" if argument == "--watch" else argument for argument in arguments]
@@ -48,7 +48,7 @@ def read_following(arguments: list[str], usage: str) -> Stream:
         key, _, below = text.partition("=")[0].partition(".")
         if key not in (*own, "plugins"):
             hint = nearest(key, [*own, "plugins"])
-            message = f"{key}: expected a key that applies with orbit=; received another{hint}"
+            message = f"{key}: expected a key that applies with orbit=; received one that does not{hint}"
             raise UserError(message)
         chosen = filters if key == "plugins" else of_orbit if key == "orbit" and below else mine
         chosen.append(text.removeprefix("orbit.") if chosen is of_orbit else text)
@@ -69,10 +69,10 @@ def read_following(arguments: list[str], usage: str) -> Stream:
 
 
 def filter_of(overrides: list[str], gate: AskedGate) -> tuple[RecursiveEstimator[Any], tuple[float, float]]:
-    """Return the estimator that a command line names, and the process noise of a minute.
+    """Return the estimator named on a command line, and the process noise per minute.
 
     Raises:
-        UserError: none, several, or a process noise that is fitted to a model.
+        UserError: no or several estimators, or a process noise fitted to a model.
     """
     texts = overrides if any(text.startswith("plugins=") for text in overrides) else [DEFAULT, *overrides]
     cfg = composed("train", texts, partly=True)
@@ -88,7 +88,7 @@ def filter_of(overrides: list[str], gate: AskedGate) -> tuple[RecursiveEstimator
         noise = (0.0, 0.0)
     if not isinstance(noise, tuple | list):
         message = (
-            "process_noise: expected [POSITION,VELOCITY], km and km/s added per minute; received another"
+            f"process_noise: expected [POSITION,VELOCITY], km and km/s added per minute; received {noise}"
         )
         raise UserError(message)
     return with_gate(filters[0].estimator, filters[0], gate), (noise[0], noise[1])

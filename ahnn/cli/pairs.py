@@ -36,7 +36,7 @@ def divided(arguments: Iterable[str], keys: Collection[str] = ()) -> tuple[list[
     """Split a command line into paths and KEY=VALUE; a path may contain = if it exists.
 
     Args:
-        arguments: in any order.
+        arguments: arguments in any order.
         keys: keys that are never treated as paths.
     """
     paths, pairs = [], []

@@ -91,7 +91,7 @@ def build_recorded(options: dict[str, Any], source: Recordings | Observed) -> Re
     if noise is None and not source.positions_only and measured is None:
         return None
     if noise is None or (source.positions_only and measured == "state"):
-        known = "positions alone" if source.positions_only else f"data.measured={measured}"
+        known = "only positions" if source.positions_only else f"data.measured={measured}"
         message = (
             "data.noise: expected the standard deviations of the recorded measurements with "
             "sensor=recorded, and a known kinetic energy for positions, such as hamiltonian=mechanical; "
@@ -105,7 +105,7 @@ def build_recorded(options: dict[str, Any], source: Recordings | Observed) -> Re
 
 
 def build_sighted(options: dict[str, Any], source: Observed) -> Recorded:
-    """Build the sensor of what stations measured, with the noise and the biases of their file unless given.
+    """Build the sensor of station measurements, with the noise and the biases of the file unless given.
 
     Raises:
         UserError: other measurements.

@@ -56,7 +56,7 @@ def quiet() -> None:
 
 
 def require_new(folder: Path, ckpt: str | None) -> None:
-    """Check that a training overwrites neither another training nor foreign files.
+    """Check that a training run overwrites neither another run nor foreign files.
 
     Raises:
         UserError: the folder holds checkpoints and none is resumed, or files that are not ours.

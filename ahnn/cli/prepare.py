@@ -1,4 +1,4 @@
-"""Preparation of a training from a configuration, without generating data, so that errors appear early."""
+"""Preparation of a training run without generating data, so that errors appear early."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ SMOKE = "budget=smoke only checks the installation; the default budget trains th
 
 
 def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] | None = None) -> Prepared:
-    """Build all parts of a training, and check their compatibility.
+    """Build all parts of a training run, and check their compatibility.
 
     Args:
         cfg: configuration of one job.
-        source: source of the trajectories; None for the system of the configuration.
-        asked: overrides of the configuration; None for those of the command line.
+        source: source of the trajectories; None: the system of the configuration.
+        asked: overrides of the configuration; None: the overrides on the command line.
 
     Raises:
         UserError: incompatible parts, or an override without effect.
@@ -88,10 +88,10 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
 
 
 def parts_of(cfg: DictConfig) -> dict[str, Part]:
-    """Return the nodes of a training to be built from their keys and a few objects.
+    """Return the nodes of a training run to be built from their keys and a few objects.
 
     Raises:
-        UserError: a GPU is asked for, and there is none.
+        UserError: a GPU is requested, and there is none.
     """
     data = {key: value for key, value in plain_config(cfg.data).items() if key not in (*SIMULATION, *SENSOR)}
     node = cfg.trainer.copy()
@@ -146,7 +146,7 @@ def build_trainer(made: Factories, folder: Path) -> Trainer:
 
 
 def settings_of(values: dict[str, Any]) -> dict[str, Any]:
-    """Return the settings that determine a training besides its data, which a resumed one must share."""
+    """Return the settings that determine the training besides its data; a resumed run must share them."""
     parts = {name: values[name] for name in ("model", "loss", "optimizer", "scheduler", "data")}
     parts["data"] = {key: value for key, value in parts["data"].items() if key not in SIMULATION}
     flat = flatten(values)

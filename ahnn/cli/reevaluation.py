@@ -1,4 +1,4 @@
-"""Configuration of a re-evaluation: that of the finished run, with few permitted changes."""
+"""Configuration of a re-evaluation: the configuration of the finished run, with few permitted changes."""
 
 from __future__ import annotations
 
@@ -29,8 +29,7 @@ KEYS = ("label", "threads")
 SINCE = {"bias_sd": None, "bias_memory": None}
 """Keys of `measurement` missing in runs of version 0.2."""
 DATA = (*SIMULATION, "split", *SENSOR)
-"""Keys of `data` that define trajectories and sensor, not the training. The cache is that of the user,
-not that of the run.
+"""Keys of `data` that define trajectories and sensor, not the training. The cache belongs to the user.
 """
 
 
@@ -82,7 +81,8 @@ class Request(NamedTuple):
         folder = Path(f"runs/pretrained_{name}" if own.run is None else own.run)
         if name is not None and (folder / "config.yaml").exists():
             message = (
-                f"run {folder}: expected a folder for pretrained={name}; received another run. Name a new one"
+                f"run {folder}: expected a folder for pretrained={name}; received a different run. Name a "
+                "new folder"
             )
             raise UserError(message)
         overrides = [text for text in given if text not in mine]

@@ -39,7 +39,7 @@ def reproduce(arguments: list[str], usage: str) -> None:
     try:
         with ended(lambda: "repeat the command to resume"):
             start(one, "train")
-    finally:  # after a failure the table of the others is still shown
+    finally:  # after a failure, the table of the finished runs is still shown
         if made.finished():
             show(summary(made.folder, made.runs))
 

@@ -95,7 +95,7 @@ def windows(cfg: DictConfig) -> int:
 
 
 def steps_of(cfg: DictConfig) -> int:
-    """Return the optimiser steps of a training."""
+    """Return the number of optimiser steps of a training run."""
     there = windows(cfg)
     batches = -(-min(there, cfg.data.windows_per_epoch or there) // cfg.data.batch_size)
     return -(-batches // cfg.trainer.get("accumulate_grad_batches", 1)) * cfg.trainer.max_epochs
@@ -132,7 +132,7 @@ def require_same_settings(made: Plan) -> None:
 
 
 def settings(cfg: DictConfig, folder: str) -> dict[str, Any]:
-    """Return the content of a training's config.yaml."""
+    """Return the content of a run's config.yaml."""
     from ahnn.cli.build import stored
 
     own = cfg.copy()

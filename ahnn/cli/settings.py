@@ -63,7 +63,7 @@ class Evaluation:
 
 
 def check_again(cfg: DictConfig) -> None:
-    """Check settings that also apply to finished runs; raises as `check_settings`."""
+    """Check settings that also apply to finished runs; raises the errors of `check_settings`."""
     check_keys(plain_config(cfg), {"": Again, "data": Splits, "evaluation": Evaluation})
 
 
@@ -75,21 +75,21 @@ def check_settings(cfg: DictConfig) -> None:
     """
     schemas = {"": CommonSettings, "data": Splits, "evaluation": Evaluation, "trainer": Training}
     own = [name for name, key in signature(CommonSettings).parameters.items() if key.default is key.empty]
-    if missing := [name for name in (*own, *schemas) if name and name not in cfg]:  # others may refer to them
+    if missing := [name for name in (*own, *schemas) if name and name not in cfg]:  # others refer to these
         message = f"configuration: expected key {missing[0]!r}; received none"
         raise UserError(message)
     values = plain_config(cfg)
     check_keys(values, schemas)
     seeds = values.get("seeds") or []
     if len({*seeds}) < len(seeds):
-        message = f"seeds: expected different ones; received {seeds}"
+        message = f"seeds: expected different seeds; received {seeds}"
         raise UserError(message)
     received = flatten(values)
     for key, value in flatten(values.get("required") or {}).items():  # consequences of the chosen model
         if received.get(key) != value:
             message = (
-                f"{key}: expected {value} with model {cfg.label}; received {received.get(key)}. "
-                "Choose another model"
+                f"{key}: expected {value} with model {cfg.label}; received {received.get(key)}. Choose "
+                "another model"
             )
             raise UserError(message)
 

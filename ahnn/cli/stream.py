@@ -77,7 +77,7 @@ def require_own_keys(options: AssimilationRequest, nodes: DictConfig) -> None:
         message = f"folder: expected orbit=FILE.yaml with folder={options.folder}; received a run"
         raise UserError(message)
     if options.start != "fit" and options.fitted is not None:
-        message = f"fitted: expected start=fit with fitted={options.fitted}; received another start"
+        message = f"fitted: expected start=fit with fitted={options.fitted}; received start={options.start}"
         raise UserError(message)
     for key in ("start_sd", "time", "objects", "controls") if options.start == "fit" else ():
         if (value := getattr(options, key)) is not None:
@@ -127,7 +127,7 @@ def _key(text: str) -> str:
 def build_sensors(
     nodes: DictConfig, cfg: DictConfig, run: Run, truth: Callable[[], System | None]
 ) -> dict[str, StreamSensor]:
-    """Build the sensors of a stream; by default that of the run's group `measurement`.
+    """Build the sensors of a stream; by default the sensor of the run's group `measurement`.
 
     Raises:
         UserError: no model, or incompatible standard deviations.
@@ -138,7 +138,7 @@ def build_sensors(
         with blaming(who):
             model = reading(named, run.space) if isinstance(named, str) else build(named, f"{who}.model")
             if (mass := getattr(model, "mass", run.space.inertia)) != run.space.inertia:
-                message = f"expected mass={run.space.mass:g}, that of the run; received mass={mass:g}"
+                message = f"expected mass={run.space.mass:g}, as in the run; received mass={mass:g}"
                 raise ValueError(message)
             sd, *bias = (_numbers(node.get(key)) for key in ("sd", "bias_sd", "bias_memory"))
             known = truth() if sd is None and named == "position" else None
@@ -153,7 +153,7 @@ def build_sensors(
 
 
 def stations_of_file(file: str, space: Space, reference: Reference) -> dict[str, StreamSensor]:
-    """Return the stations of a file as sensors on the rotating Earth, from the epoch of time zero on.
+    """Return the stations of a file as sensors on the rotating Earth, with the epoch of time zero.
 
     Raises:
         UserError: no such file, or a station that measures nothing.
@@ -258,7 +258,7 @@ def carrier(run: Run) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
         if names := control_names(run):
             message = (
                 "start: expected the covariance of its last state, since the controls before it are "
-                f"unknown, {', '.join(names)}; received that of an earlier one. Add start_sd="
+                f"unknown, {', '.join(names)}; received the covariance of an earlier state. Add start_sd="
             )
             raise UserError(message)
         predicted = run.predict(states, times, start_covariance=covariances).covariances

@@ -8,7 +8,7 @@ from ahnn.errors import UserError
 from ahnn.estimation import Estimator, Gate, RecursiveEstimator
 
 GATE = 0.999999
-"""What a stream takes where nobody says otherwise: of a million good measurements one is refused."""
+"""Default of a stream: one of a million good measurements is rejected."""
 AskedGate = float | Literal["none"] | None
 
 
@@ -18,9 +18,9 @@ def with_gate(
     """Return an estimator with a gate that reopens; one without a gate is returned unchanged.
 
     Args:
-        estimator: of the plugin, with a gate where that is configured.
+        estimator: estimator of the plugin, with a gate if configured.
         plugin: plugin that sets the number of rejections after which the gate reopens.
-        asked: of the stream; None takes that of the estimator, or the default.
+        asked: gate of the stream; None: the gate of the estimator, or the default.
 
     Raises:
         UserError: a gate for an estimator that takes none.

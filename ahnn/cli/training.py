@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def train(cfg: DictConfig) -> float:
     """Train with one seed or with several; return the mean of the best validation losses.
 
-    Several `seeds` have separate folders, seed_7 and so on, inside the run folder.
+    Several `seeds` have separate folders, such as seed_7, inside the run folder.
     """
     begin(cfg)
     parts = [of_seed(cfg, seed) for seed in cfg.seeds] if cfg.seeds else [cfg]
@@ -30,7 +30,7 @@ def train(cfg: DictConfig) -> float:
         require_new(Path(part.folder), part.ckpt)
     losses = [train_once(part) for part in parts]
     from ahnn.cli.parts import is_multirun
-    from ahnn.jobs.closing import require_converged  # imported late, like the trainings before it
+    from ahnn.jobs.closing import require_converged  # imported late, like the code of the training
 
     if not is_multirun():  # in a sweep each job has its scores, and a search uses the losses
         require_converged([Path(part.folder) for part in parts])
@@ -45,7 +45,7 @@ def of_seed(cfg: DictConfig, seed: int) -> DictConfig:
 
 
 def check(cfg: DictConfig) -> None:
-    """Make all checks of a training before data generation; called once before the first trial of a sweep.
+    """Make all checks of a run before data generation; called once before the first trial of a sweep.
 
     Raises:
         UserError: an invalid job.
@@ -61,14 +61,14 @@ train.check = check  # pyright: ignore[reportFunctionMemberAccess] - the sweeper
 
 
 def train_once(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] | None = None) -> float:
-    """Run one training and its evaluation; return the best validation loss, the objective of a search.
+    """Train and evaluate once; return the best validation loss, the objective of a search.
 
     With several devices the first evaluates and writes; the other processes return NaN, which is ignored.
 
     Args:
         cfg: configuration of one job.
-        source: source of the trajectories; None for the system of the configuration.
-        asked: overrides of the configuration; None for those of the command line.
+        source: source of the trajectories; None: the system of the configuration.
+        asked: overrides of the configuration; None: the overrides on the command line.
     """
     with held():
         from ahnn.cli.prepare import prepare
@@ -76,7 +76,7 @@ def train_once(cfg: DictConfig, source: Source | None = None, asked: Sequence[st
 
         prepared = prepare(cfg, source, asked)
     folder, trainer = prepared.folder, prepared.trainer
-    prepared.data.train_dataloader()  # last check: files are written from here on
+    prepared.data.train_dataloader()  # last check: files are written after this
 
     require_writable(folder)
     with claimed(folder) if trainer.is_global_zero else nullcontext():
@@ -92,7 +92,7 @@ def train_once(cfg: DictConfig, source: Source | None = None, asked: Sequence[st
 
 
 def go_on(cfg: DictConfig) -> str:
-    """Return the command that resumes a stopped training."""
+    """Return the command that resumes a stopped run."""
     from ahnn.cli.parts import is_multirun
 
     if cfg.get("trial") is not None:

@@ -1,8 +1,8 @@
 """Trust rules for foreign configurations: classes that a run folder may build.
 
 A run folder is shared between people, so its config.yaml could name any importable callable. Only classes of
-this library are built, and those of installed packages that are declared in the entry-point group
-`ahnn.trusted`. Everything else requires the user's consent, `--trust`.
+this library are built, and classes that installed packages declare in the entry-point group `ahnn.trusted`.
+Everything else requires the user's consent, `--trust`.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def require_trusted(path: Path, content: dict[str, Any], nodes: tuple[str, ...])
     suspicious = []
     for node in nodes:
         for name, value in flat(content.get(node), node):
-            role = "system" if name.endswith(".beside._target_") else node  # besides the model of a plugin
+            role = "system" if name.endswith(".beside._target_") else node  # `beside` of a plugin is a system
             inner = node == "system" and name.count(".") > 1  # a system consists of plain values
             if (
                 (isinstance(value, str) and "${" in value and not LINK.fullmatch(value))

@@ -32,7 +32,7 @@ def unreferenced(cfg: DictConfig, keys: Iterable[str]) -> list[str]:
         if name not in found:
             found.add(name)
             todo += [n for key in values if _related(key, name) for n in references[key]]
-    groups = ("recipe", "experiment")  # their options set keys of others
+    groups = ("recipe", "experiment")  # their options set keys of other groups
     asked = [key for key in keys if key.partition(".")[0] in BY_REFERENCE and key not in groups]
     return [key for key in asked if not any(_related(key, name) for name in found)]
 

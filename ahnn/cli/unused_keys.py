@@ -1,4 +1,4 @@
-"""Rejection of command line keys that no part of a training reads."""
+"""Rejection of command line keys that no part of a run reads."""
 
 from __future__ import annotations
 
@@ -38,19 +38,19 @@ Unread = Iterator[tuple[str, str]]
 
 
 def asked_for(texts: Iterable[str] | None) -> Iterable[str]:
-    """Return overrides; None for those of the command line."""
+    """Return overrides; None: the overrides on the command line."""
     if texts is None:
         return HydraConfig.get().overrides.task if HydraConfig.initialized() else ()
     return texts
 
 
 def require_read(cfg: DictConfig, prepared: Prepared, texts: Iterable[str] | None = None) -> None:
-    """Reject overrides that no part of a training reads.
+    """Reject overrides that no part of a run reads.
 
     Args:
         cfg: configuration of the training.
-        prepared: training built from it.
-        texts: overrides; None for those of the command line.
+        prepared: training run built from it.
+        texts: overrides; None: the overrides on the command line.
 
     Raises:
         UserError: an override without effect.
@@ -99,13 +99,17 @@ def unread_of_training(cfg: DictConfig, prepared: Prepared, *, several: bool) ->
     derived = staged or cfg.loss.derivative > 0
     measured = "a loss on windows does not estimate noise; a recipe with loss.stages does"
     yield from unless(
-        ("weights", cfg.ckpt is None or cfg.weights is None, "ckpt resumes a training from its own weights"),
+        (
+            "weights",
+            cfg.ckpt is None or cfg.weights is None,
+            "ckpt resumes a run from its own weights",
+        ),
         ("seed", not several, "seeds= replaces it"),
         ("scheduler", automatic or not cfg.scheduler, "second-order steps have no learning rate"),
         ("data.bias_sd", staged or cfg.data.get("bias_sd") is None, measured),
         ("data.correlation", staged or cfg.data.get("correlation") is None, measured),
         ("data.noise", staged or cfg.data.get("noise") != "estimate", measured),
-        ("optimizer.tolerance", not staged, "steps on measurements use the whole batch"),
+        ("optimizer.tolerance", not staged, "steps on measurements use the entire batch"),
         ("loss.order", derived, "with loss.derivative=0 no derivatives are formed"),
         ("callbacks.rollout", not staged, "measurements have no true start to roll out from"),
         ("callbacks.rollout.every", rolled, "callbacks.rollout.count=0 disables rollouts"),
@@ -133,7 +137,7 @@ def unread_online(nodes: DictConfig, *, covariance: bool, named: bool = False) -
     Args:
         nodes: filter nodes.
         covariance: whether the covariance of the weights is known.
-        named: whether sensors are named, instead of that of the run.
+        named: whether sensors are named, instead of the sensor of the run.
     """
     yield from (found for found in unread_of_plugins(nodes) if not found[0].endswith(".patience"))
     noises = [options.get("process_noise") for _, options in of_plugins(nodes)]

@@ -4,7 +4,7 @@ PATH...        data files for system=files, docs/data.md, or tracking files, doc
 figures=DIR    plot data and findings into a folder as PNG and SVG
 mass=M         also gap, frame, step, duration: options of system=files
 
-The exit code is 2 if a finding would spoil a training or an orbit, and 0 otherwise.
+The exit code is 2 if a finding would spoil the training or the orbit, and 0 otherwise.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ USAGE = "usage: python -m ahnn.data check PATH... [figures=DIR] [mass=M] [gap=10
 
 
 def check(arguments: list[str]) -> None:
-    """Check the files named on the command line; raises as `cli.data_files` and `jobs.checking`."""
+    """Check the files named on the command line; raises errors of `cli.data_files` and `jobs.checking`."""
     with importing():
         from ahnn.cli.data_files import read_check
         from ahnn.jobs import checking

@@ -36,17 +36,17 @@ class Stages(Protocol):
     """Segments of measurements that grow from stage to stage."""
 
     def intervals(self, epoch: int, epochs: int) -> int | None:
-        """Return the intervals per segment in an epoch of a training; None for whole trajectories."""
+        """Return the intervals per segment in an epoch; None: full trajectories."""
         ...
 
     def stretches(self, epoch: int, epochs: int) -> int | None:
-        """Return the segments per step in an epoch of a training; None for `data.batch_size`."""
+        """Return the segments per step in an epoch; None: `data.batch_size`."""
         ...
 
 
 @checked
 class WindowDataModule(LightningDataModule):
-    """Sliding windows of whole trajectories, split by trajectory.
+    """Sliding windows of trajectories, split by trajectory.
 
     Args:
         source: source of the trajectories.
@@ -107,7 +107,7 @@ class WindowDataModule(LightningDataModule):
             require_span(self.span, truth.steps)
 
     def trajectories(self, split: Split) -> Trajectories:
-        """Return the whole trajectories of a split, with measured instead of true states if applicable."""
+        """Return the trajectories of a split, with measured instead of true states if applicable."""
         return self.splits[split] if self.sensor is None else Trajectories(*self.measured(split))
 
     def measured(self, split: Split) -> Observations:
@@ -153,7 +153,7 @@ class WindowDataModule(LightningDataModule):
         self.trainer = trainer
 
     def follow(self, stages: Stages, epochs: int) -> None:
-        """Provide growing segments of measurements over the epochs of a training, instead of windows.
+        """Provide growing segments of measurements over the epochs, instead of windows.
 
         Raises:
             UserError: no measurements, or sampling by speed requested.
@@ -199,7 +199,7 @@ class WindowDataModule(LightningDataModule):
         segments = self._cut[intervals]
         if intervals is not None and segments.intervals < intervals and intervals not in self._too_long:
             self._too_long.add(intervals)
-            what = "loss.stages: no trajectory has %d intervals; that stage fits whole trajectories (%d)"
+            what = "loss.stages: no trajectory has %d intervals; that stage fits full trajectories (%d)"
             log.info(what, intervals, segments.intervals)
         asked = self.stages.stretches(epoch, self.epochs) or self.batch_size
         return segments, asked if intervals is None else min(asked, segments.covering)

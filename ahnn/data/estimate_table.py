@@ -79,7 +79,7 @@ def last_estimate(path: Path, space: Space) -> Last:
     units = units_of(space) if names == track_names(space) else momentum_units(space)
     for name, unit in said.units.items():
         if name in units and unit != units[name]:
-            message = f"start {path}: expected {name} in {units[name]}, that of the model; received {unit}"
+            message = f"start {path}: expected {name} in {units[name]}, as in the model; received {unit}"
             raise UserError(message)
     state, covariance = scales * torch.tensor(mean, dtype=torch.float64), covariance * scales.outer(scales)
     return Last(time, state, covariance, Reference.of(said.frame))

@@ -10,9 +10,9 @@ from torch import Tensor
 from ahnn.types import Trajectories
 
 SAMPLES = 4
-"""Number of consecutive samples in a fingerprint: single states recur, for example at rest."""
+"""Number of consecutive samples in a fingerprint: individual states recur, for example at rest."""
 KEPT = 10_000
-"""Maximum number of trajectories recorded for a training."""
+"""Maximum number of trajectories recorded for a run."""
 MIXED = 0x2545F4914F6CDD1D
 """Odd multiplier with well distributed bits (Steele & Vigna 2022, Softw. Pract. Exp. 52, 443)."""
 NONE = torch.iinfo(torch.int64).max

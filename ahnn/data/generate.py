@@ -29,8 +29,8 @@ def generate(system: System, count: int, seed: int) -> Trajectories:
 def generated(system: System, count: int, seed: int) -> Iterator[Trajectories]:
     """Yield `count` trajectories from initial states drawn with `seed`, in parts of limited size.
 
-    All are padded with NaN to the length of the longest one. Each trajectory is independent of the others in
-    its part.
+    All are padded with NaN to the length of the longest one. Each trajectory is independent of all other
+    trajectories in its part.
 
     Raises:
         UserError: the trajectories are too long to be stored, become non-finite, or cannot be computed
@@ -76,7 +76,7 @@ def longest_of(system: System, steps: Tensor) -> int:
 
 
 def require_finite(system: System, states: Tensor, ends: Tensor, before: int) -> None:
-    """Check that trajectories (B, T, D), preceded by `before` others, are finite up to their ends (B,).
+    """Check that trajectories (B, T, D), preceded by `before` more, are finite up to their ends (B,).
 
     Raises:
         UserError: a state is not finite, so that it can neither be learned nor scored.

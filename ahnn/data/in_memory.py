@@ -64,13 +64,13 @@ def check_trajectories(given: Trajectories, space: Space) -> Trajectories:
     if states.ndim != 3 or states.shape[-1] not in (size, space.dof) or min(states.shape) < 1:
         message = (
             f"states: expected shape (trajectories, samples, {size}) of {', '.join(space.components)}; "
-            f"received {tuple(states.shape)}. Positions alone have {space.dof} columns"
+            f"received {tuple(states.shape)}. Without velocities there are {space.dof} columns"
         )
         raise UserError(message)
     if times.shape not in (states.shape[:2], states.shape[1:2]):
         message = (
-            f"times: expected shape {tuple(states.shape[:2])}, or {tuple(states.shape[1:2])} for all alike; "
-            f"received {tuple(times.shape)}"
+            f"times: expected shape {tuple(states.shape[:2])}, or {tuple(states.shape[1:2])} for all "
+            f"trajectories; received {tuple(times.shape)}"
         )
         raise UserError(message)
     for name, part in (("states", states), ("times", times)):
@@ -83,27 +83,27 @@ def check_trajectories(given: Trajectories, space: Space) -> Trajectories:
     if bool((steps <= 0).any()):
         b, k = (int(n) for n in (steps <= 0).nonzero()[0])
         pair = trajectories.times[b, k : k + 2].tolist()
-        message = f"times: expected increasing ones; received {pair} from sample {k} of trajectory {b}"
+        message = f"times: expected increasing times; received {pair} from sample {k} of trajectory {b}"
         raise UserError(message)
     unknown = trajectories.times.isnan()
     if bool((unknown[:, :-1] & ~unknown[:, 1:]).any()):
-        message = "times: expected one for each sample, NaN only after the last; received NaN before another"
+        message = "times: expected NaN only after the last sample of a trajectory; received NaN before a time"
         raise UserError(message)
     return trajectories
 
 
 def check_states(given: Trajectories, dof: int) -> Trajectories:
-    """Validate trajectories of whole states, n = `dof`; return float64 states (B, T, 2n) and times (B, T).
+    """Validate trajectories of full states, n = `dof`; return float64 states (B, T, 2n) and times (B, T).
 
     Raises:
-        UserError: as for `check_trajectories`, or positions without momenta.
+        UserError: invalid trajectories (see `check_trajectories`), or positions without momenta.
     """
     names = tuple(f"{letter}{k}" for letter in "qp" for k in range(dof))
     trajectories = check_trajectories(given, Space("data", names))
     if trajectories.states.shape[-1] != 2 * dof or not bool(trajectories.present.any()):
         message = (
             f"data: expected states [q, p] of {2 * dof} components, NaN where missing; received shape "
-            f"{tuple(trajectories.states.shape)}. Positions alone: ahnn.fit"
+            f"{tuple(trajectories.states.shape)}. For positions without velocities use ahnn.fit"
         )
         raise UserError(message)
     return trajectories
@@ -138,7 +138,7 @@ def content_of(given: Trajectories, space: Space) -> Content:
     """Convert trajectories to file content; momenta that are all NaN mean positions only.
 
     Raises:
-        UserError: as for `check_trajectories`.
+        UserError: invalid trajectories; see `check_trajectories`.
     """
     states, times, *_ = check_trajectories(given, space)
     controls = check_controls(given, space, times)

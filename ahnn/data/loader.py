@@ -60,7 +60,7 @@ class EpochLoader(ABC):
 
     @abstractmethod
     def __len__(self) -> int:
-        """Return the number of batches of a whole epoch."""
+        """Return the number of batches in an epoch."""
 
     @abstractmethod
     def batches(self) -> Sequence[Tensor]:
@@ -132,7 +132,7 @@ class WindowLoader(EpochLoader):
         return self.windows.streamed
 
     def __len__(self) -> int:
-        """Return the number of batches of a whole epoch."""
+        """Return the number of batches in an epoch."""
         return -(-self.count // self.batch_size)
 
     def order(self) -> torch.Tensor:

@@ -17,7 +17,7 @@ UNTRUE = 5.0
 def measured_statistics(local: Local, instrument: Instrument, measured: Observations) -> Statistics:
     """Compute the statistics of measurements from local polynomials in time.
 
-    Rates are from polynomials, since noise inflates differences; single forces are used only where a
+    Rates are from polynomials, since noise inflates differences; individual forces are used only where a
     polynomial predicts its sample about as well as most.
     """
     states = as_states(local.value, local.rate, instrument)

@@ -76,7 +76,7 @@ def falls_as_noise(samples: Tensor, times: Tensor, level: Tensor) -> Tensor:
 
 
 def is_coloured(samples: Tensor, times: Tensor, level: Tensor) -> Tensor:
-    """Return components (D,) whose means of consecutive samples exceed those of white noise.
+    """Return components (D,) whose means of consecutive samples exceed the means of white noise.
 
     High-order differences are insensitive to noise correlated between samples.
     """
@@ -154,7 +154,7 @@ def remark_on(samples: Tensor, times: Tensor, names: Sequence[str], stated: Tens
         suspicious = (floor > SHARE * typical) & (typical > 0)
         advice = (
             "which this loss would learn. Declare it: sensor=... (sensor=recorded for files), or "
-            "data.noise=... with recipe=measurements (recipe=noisy_states for dense samples of whole states)"
+            "data.noise=... with recipe=measurements (recipe=noisy_states for dense samples of states)"
         )
     else:
         coloured = is_coloured(samples, times, floor)

@@ -84,17 +84,17 @@ class Reference(NamedTuple):
         """Complete the reference of a run with the user's settings.
 
         Raises:
-            UserError: a frame or centre that differs from that of the run.
+            UserError: a frame or centre that differs from the run.
         """
         for name in ("frame", "center"):
             ours, theirs = getattr(self, name), getattr(keys, name)
             if ours and theirs and alias(ours) != alias(theirs):
-                message = f"{name}: expected {ours}, that of the model; received {theirs}"
+                message = f"{name}: expected {ours}, as in the model; received {theirs}"
                 raise UserError(message)
         return keys.filled(self)
 
     def since(self, text: str | None) -> Reference:
-        """Set the epoch given by a user; None leaves it unchanged.
+        """Set the epoch given by a user; None: unchanged.
 
         Raises:
             UserError: invalid epoch.
@@ -116,19 +116,19 @@ class Reference(NamedTuple):
         return self._replace(center=BODY)
 
     def turn(self, ours: Reference, who: str) -> str | None:
-        """Return the frame to which data must be transformed for a model; None for no transformation.
+        """Return the frame to which data must be transformed for a model; None: no transformation.
 
         Args:
             ours: reference of the model.
             who: description of the data, for messages.
 
         Raises:
-            UserError: another centre, or a frame that cannot be transformed to that of the model.
+            UserError: another centre, or a frame that cannot be transformed to the frame of the model.
         """
         body = ours.center or BODY
         if self.center and alias(self.center) != alias(body):
             remedy = "Convert it" if ours.center else f"Set frame= or center= if {self.center} is right"
-            message = f"{who}: expected centre {body}, that of the model; received {self.center}. {remedy}"
+            message = f"{who}: expected centre {body}, as in the model; received {self.center}. {remedy}"
             raise UserError(message)
         wanted, given = alias(ours.frame), alias(self.frame)
         if not given or wanted == given:
@@ -136,7 +136,7 @@ class Reference(NamedTuple):
         if wanted in INERTIAL and known(self.frame):
             return wanted
         if wanted or given.startswith(ROTATING):
-            expected = f"frame {ours.frame}, that of the model" if wanted else "an inertial frame"
+            expected = f"frame {ours.frame}, as in the model" if wanted else "an inertial frame"
             remedy = "Convert it" if wanted else "Set frame= to the frame of the model: GCRF, EME2000"
             message = f"{who}: expected {expected}; received {self.frame}. {remedy}"
             raise UserError(message)

@@ -17,8 +17,8 @@ class Segments:
 
     Args:
         measured: values (B, T, M) and times (B, T); NaN where missing.
-        intervals: number K of intervals; None for one segment per trajectory, from its first suitable start
-            to its end, as also where no trajectory has K intervals from a suitable start on.
+        intervals: number K of intervals. None, or more than any trajectory has after a suitable start: one
+            segment per trajectory, from its first suitable start to its end.
         instrument: measuring instrument.
 
     Attributes:
@@ -38,9 +38,9 @@ class Segments:
         good = there & (ahead(there, FIRST) > DEGREE)
         if not bool(good.any()):
             message = (
-                f"data: expected trajectories with at least {DEGREE + 1} of {FIRST} measurements in a row, "
-                f"which determine an initial state; received none among {rows} of {samples} times. "
-                "Measure more often"
+                f"data: expected trajectories with at least {DEGREE + 1} of {FIRST} consecutive "
+                f"measurements, which determine an initial state; received none among {rows} of {samples} "
+                "times. Measure more often"
             )
             raise UserError(message)
         last = (times.isfinite() * torch.arange(samples)).amax(1, keepdim=True)
@@ -71,13 +71,13 @@ class Segments:
 
 
 def whole(measured: Observations, instrument: Instrument) -> Segment:
-    """Return each trajectory from its first suitable start on, as one batch; raises as `Segments`."""
+    """Return each trajectory after its first suitable start, as one batch; raises errors of `Segments`."""
     segments = Segments(measured, None, instrument)
     return segments.gather(torch.arange(len(segments)))
 
 
 def ahead(there: Tensor, count: int) -> Tensor:
-    """Return the number of samples present in a span from each sample on, (B, T) from (B, T) bool."""
+    """Return the number of samples present in a span that starts at each sample, (B, T) from (B, T) bool."""
     padded = torch.nn.functional.pad(there.long(), (0, count))
     sums = torch.nn.functional.pad(padded.cumsum(1), (1, 0))
     return sums[:, count : count + there.shape[1]] - sums[:, : there.shape[1]]

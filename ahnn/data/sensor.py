@@ -37,14 +37,14 @@ class Sensor:
         space: description of the state components.
         measured: `state`, `position`, or a measurement model.
         noise: standard deviations in measurement units: a common number, one for positions and one for
-            momenta, one per component, or those of one of several stations; of recorded measurements also
-            `estimate`: the training finds them.
+            momenta, one per component, or the noise of one of several stations. For recorded measurements
+            also `estimate`: they are estimated in training.
         every: number of trajectory samples between measurements.
         stride: maximum number of trajectory samples per integrator step; each step ends at a measurement.
         gaps: fraction of randomly missing measurements.
-        outliers: fraction of measured values that are off by 50 standard deviations.
-        bias_sd: standard deviations of constant biases, as `Biases.of` takes them: they are drawn, and the
-            training estimates them; None for none.
+        outliers: fraction of measured values with an error of 50 standard deviations.
+        bias_sd: standard deviations of constant biases, in the format of `Biases.of`. The biases are drawn
+            from these and estimated in training. None: no biases.
         correlation: whether the training estimates how noise correlates in time.
         seed: seed of all random draws.
 
@@ -85,11 +85,11 @@ class Sensor:
         sizes = noise == "estimate"
         if sizes and self.draws:
             message = (
-                "data.noise: expected standard deviations of what is simulated; received estimate. That "
+                "data.noise: expected standard deviations of simulated noise; received estimate, which "
                 "requires recorded measurements: sensor=recorded"
             )
             raise UserError(message)
-        stated = 1.0 if isinstance(noise, str) else noise  # differences of the samples take their place
+        stated = 1.0 if isinstance(noise, str) else noise  # replaced by estimates from sample differences
         names = space.components[: len(measured_by.names)] if isinstance(measured, str) else None
         self.deviations = noise_deviations(measured_by, stated, "data.noise", names)
         biases = Biases.of(measured_by, bias_sd, None, "data.")

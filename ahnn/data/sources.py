@@ -20,7 +20,7 @@ from ahnn.types import Space, Trajectories
 
 
 class Source(Protocol):
-    """Source of whole trajectories with their state space."""
+    """Source of trajectories with their state space."""
 
     @property
     def space(self) -> Space:
@@ -47,7 +47,7 @@ class Source(Protocol):
 
 @runtime_checkable
 class Observed(Source, Protocol):
-    """Source of measurements that are no components of states, whose `read` has the positions they show."""
+    """Source of measurements that are no components of states; `read` returns positions from them."""
 
     def sensors(self) -> Any:
         """Return the model of all its sensors side by side, with their noise and biases."""
@@ -108,9 +108,9 @@ class Given(Recordings):
         trajectories: states (B, T, 2n) and times (B, T) or (T,), NaN where a sample is missing; momenta that
             are all NaN, or omitted, are unknown. Controls (B, T, m) of a space that names them.
         space: description of the state components.
-        cut: as in `Recordings`.
-        gap: as in `Recordings`.
-        unsound: as in `Recordings`.
+        cut: see `Recordings`.
+        gap: see `Recordings`.
+        unsound: see `Recordings`.
 
     Raises:
         UserError: an invalid space, incompatible shapes, infinite numbers, or times that do not increase.

@@ -1,4 +1,4 @@
-"""Training, validation and test splits of whole trajectories, common to all models."""
+"""Training, validation and test splits by trajectory, common to all models."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ahnn.types import Trajectories
 
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
-SAME, OTHERS = "the test split of the training's data", "trajectories other than those of the training"
+SAME, OTHERS = "the test split of the run's data", "trajectories other than the training data"
 
 
 class SplitData:
@@ -40,7 +40,7 @@ class SplitData:
         self._measured: dict[Split, Observations] = {}
 
     def __getitem__(self, split: Split) -> Trajectories:
-        """Return the whole trajectories of a split."""
+        """Return the trajectories of a split."""
         if not self._parts:
             data = self.source.read()
             begin = 0
@@ -55,7 +55,7 @@ class SplitData:
         return remembered(self["train"]) + remembered(self["val"])
 
     def beside(self, known: dict[str, Any] | None, seen: Sequence[int] = ()) -> str:
-        """Return the relation of the test trajectories to the data of a training; SAME if unchanged.
+        """Return the relation of the test trajectories to the data of a training run; SAME if unchanged.
 
         Args:
             known: `recipe` and `split` of the training; None if not recorded.
@@ -81,25 +81,25 @@ class SplitData:
         then, now = (split_sizes(count, fractions) for fractions in (known["split"], self.fractions))
         if (part := then[0] + then[1] - now[0] - now[1]) > 0:
             message = (
-                "split: expected test trajectories that the training has not seen; received "
-                f"{self.fractions}: {part} of {now[2]} are among those seen. Keep the training's "
+                "split: expected test trajectories not used in training; received "
+                f"{self.fractions}: {part} of {now[2]} were used. Keep the split of the run, "
                 f"{known['split']}, or use another seed"
             )
             raise UserError(message)
-        return "a part of the test split of the training's data"
+        return "a part of the test split of the run's data"
 
     def _others(self, files: bool, seen: Sequence[int]) -> str:
         """Describe how the data differ; raises UserError for a test trajectory used in training."""
         count = len(self["test"].states)
         if known := recognised(self["test"], seen):
             message = (
-                "test data: expected trajectories that the training has not seen; received "
-                f"{count}, of which {known} contain samples of its training or validation data. Keep the "
-                "data and the split of the training, or use other data"
+                "test data: expected trajectories not used in training; received "
+                f"{count}, {known} of them with samples of the training or validation data. Keep the data "
+                "and the split of the run, or use other data"
             )
             raise UserError(message)
-        what = "files that differ from those of the training" if files else OTHERS
-        return what + (", with test trajectories it never saw" if seen else "")
+        what = "files other than the training data" if files else OTHERS
+        return what + (", with test trajectories not used in training" if seen else "")
 
     def measured(self, split: Split) -> Observations:
         """Return the measurements of a split."""
@@ -162,7 +162,8 @@ def split_sizes(count: int, fractions: list[float]) -> list[int]:
         message = (
             f"split: expected at least one trajectory in each part; received {count} trajectories with "
             "fractions "
-            f"{fractions}, which makes {named}. Use more trajectories, or cut those of files with system.cut"
+            f"{fractions}, which makes {named}. Use more trajectories, or cut trajectories of files with "
+            "system.cut"
         )
         raise UserError(message)
     return sizes

@@ -48,11 +48,11 @@ def covariances_of(
     Args:
         path: path of the message.
         moments: epochs of the states.
-        frame: target frame of the states; None for that of the message.
+        frame: target frame of the states; None: the frame of the message.
         earlier: whether to accept the covariance of an earlier state, for propagation.
 
     Raises:
-        UserError: axes that cannot be transformed to those of the states.
+        UserError: axes that cannot be transformed to the axes of the states.
     """
     segments = (read_opm if kind_of(content_of(path), str(path)) == "opm" else read_oem)(path)
     if not any(one.covariances for one in segments):
@@ -82,7 +82,7 @@ def latest(
 
 
 def axes_of(state: Array, frame: str, one: Ephemeris, path: Path) -> Array:
-    """Return the matrix (6, 6) from the axes of a covariance to those of its state; raises UserError."""
+    """Return the matrix (6, 6) from the axes of a covariance to the axes of its state; raises UserError."""
     if not frame or alias(frame) == alias(one.frame):
         return np.eye(6)
     if frame.upper() not in ALONG:

@@ -35,7 +35,7 @@ def deviations_of(path: Path, kind: Kind, times: Tensor, *, weighed: bool) -> Te
         weighed: whether a mass is stated.
 
     Returns:
-        (B, 2n); None if the file has none, or some that are not > 0, as for predictions from exact states.
+        (B, 2n); None if the file contains none, or any that is not > 0, as in predictions from exact states.
 
     Raises:
         UserError: standard deviations of only some components, or in another unit than the components.
@@ -56,7 +56,7 @@ def deviations_of(path: Path, kind: Kind, times: Tensor, *, weighed: bool) -> Te
         return None
     lacking = [header.names[k] for k in wanted if k not in places.values()]
     if lacking:
-        sheet.place.refuse(f"{DEVIATIONS}{lacking[0]} beside the other standard deviations", "none")
+        sheet.place.refuse(f"{DEVIATIONS}{lacking[0]} with the other standard deviations", "none")
     for own, of in places.items():
         if header.units[own] not in (None, header.units[of]):
             at = sheet.place._replace(column=header.names[own])

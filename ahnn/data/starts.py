@@ -70,7 +70,7 @@ def starts(
         given: the path of a file, or numbers: one state or several.
         space: description of the model's state components.
         ours: frame, centre and time scale of the model; states in another frame are transformed.
-        sd: standard deviations (`state_deviations`) which replace those of a file, or None.
+        sd: standard deviations (`state_deviations`) that take precedence over a file, or None.
         last: whether to use the last state of each trajectory in a file, instead of the first.
 
     Raises:
@@ -86,7 +86,7 @@ def starts(
     elif is_track(path) or (path.suffix.lower() in PLAIN and not holds_mean_elements(path)):
         found = of_track(path, space) if is_track(path) else of_plain(path, space)
         if frame := found.reference.turn(ours, f"start {path}"):
-            message = f"start {path}: expected frame {frame}, that of the model; received {found.reference}"
+            message = f"start {path}: expected frame {frame}, as in the model; received {found.reference}"
             raise UserError(message)
     else:
         found = of_files(path, space, ours, last=last, weighed=sd is None)
@@ -160,7 +160,7 @@ def of_plain(path: Path, space: Space) -> Starts:
     try:
         matrix = None if covariance is None else as_float64(covariance, "covariance").reshape(1, size, size)
     except (ValueError, RuntimeError) as error:
-        message = f"start {path}: expected covariance of {size} x {size} numbers; received another shape"
+        message = f"start {path}: expected covariance of {size} x {size} numbers; received a different shape"
         raise UserError(message) from error
     return found._replace(reference=reference, covariances=matrix)
 
@@ -193,7 +193,9 @@ def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: 
         files, reference = read(frame), reference._replace(frame=frame)
     elif reference.frame and not ours.frame:
         log.warning(
-            "start %s: in %s; the model states no frame; the same one is assumed", path, reference.frame
+            "start %s: in %s; the model states no frame; its frame is assumed equal",
+            path,
+            reference.frame,
         )
     order, factors = columns_of(files, space, path)
     clock = factor(files.space.units.time, space.units.time, path)
@@ -207,7 +209,10 @@ def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: 
     own = files.trajectories.times[rows, columns]
     if weighed and (sds := deviations_of(path, kind, own, weighed=True)) is not None:
         if frame is not None:
-            message = f"start {path}: expected standard deviations in {frame}; received others. Add start_sd="
+            message = (
+                f"start {path}: expected standard deviations in {frame}; received a different frame. Add "
+                "start_sd="
+            )
             raise UserError(message)
         scale = factors if files.momenta else factors * space.scales
         return found._replace(covariances=(sds[:, order] * scale).square().diag_embed())
@@ -238,13 +243,13 @@ def columns_of(files: Files, space: Space, path: Path) -> tuple[list[int], Tenso
     found, names, n = files.space, space.components[: space.dof], space.dof
     theirs = found.components[: found.dof]
     if sorted(theirs) != sorted(names) or files.positions_only:
-        alone, remedy = "", "Name the columns in a sidecar, docs/data.md"
+        only, remedy = "", "Name the columns in a sidecar, docs/data.md"
         if files.positions_only:
-            alone, remedy = " alone", "The output of ahnn.assimilate for these positions can be used as "
+            only, remedy = " only", "The output of ahnn.assimilate for these positions can be used as "
             "a start"
         message = (
             f"start {path}: expected positions {', '.join(names)} and their velocities or momenta; received "
-            f"{', '.join(theirs)}{alone}. {remedy}"
+            f"{', '.join(theirs)}{only}. {remedy}"
         )
         raise UserError(message)
     order = [theirs.index(name) for name in names]

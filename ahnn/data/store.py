@@ -52,9 +52,9 @@ def recipe(system: System, count: int, seed: int) -> dict[str, Any]:
 
 
 def source_of(kind: type) -> dict[str, str]:
-    """Return the hashes of the modules that define a system and its bases; `FORMAT` covers those of ahnn.
+    """Return the hashes of the modules that define a system and its bases; `FORMAT` covers modules of ahnn.
 
-    Hashes whole modules, since a force may call other functions of its module.
+    Hashes complete modules, since a force may call other functions of its module.
     """
     modules = {base.__module__ for base in kind.__mro__} - {"builtins", "abc"}
     return {
@@ -65,7 +65,7 @@ def source_of(kind: type) -> dict[str, str]:
 
 
 def _source(name: str, kind: type) -> str:
-    """Return the source of a module; without one, that of the class, or else its bytecode."""
+    """Return the source of a module; if missing, the source of the class, or else its bytecode."""
     for place in (sys.modules.get(name), kind):
         with contextlib.suppress(OSError, TypeError):
             return inspect.getsource(place)  # pyright: ignore[reportArgumentType]
@@ -94,7 +94,7 @@ def load_or_make(
         wanted: recipe of the data.
         make: function that returns the parts for `write`.
 
-    If several processes need the same missing data, one generates it and the others wait.
+    If several processes need the same missing data, one generates it and the rest wait.
 
     Raises:
         UserError: the folder is not writable.

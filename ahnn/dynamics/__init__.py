@@ -45,8 +45,8 @@ def make_dynamics(kind: str, **options: Any) -> Dynamics:
     """
     if kind not in KINDS:
         message = (
-            f"dynamics: expected one of {', '.join(KINDS)}; received {kind!r}. Others are those of installed "
-            f"packages that declare them in the entry-point group {KINDS.group}"
+            f"dynamics: expected one of {', '.join(KINDS)}; received {kind!r}. Installed packages add kinds "
+            f"in the entry-point group {KINDS.group}"
         )
         raise UserError(message)
     check_arguments("dynamics", KINDS[kind], options)

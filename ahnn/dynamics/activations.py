@@ -37,7 +37,7 @@ class Activation(NamedTuple):
     """Smooth activation as differentiable functions z -> value and z -> (value, derivative).
 
     Attributes:
-        kernels: the same without autograd, or None.
+        kernels: functions without autograd, or None.
     """
 
     value: Callable[[Tensor], Tensor]

@@ -26,10 +26,10 @@ class Dynamics(nn.Module, ABC):
     instead of x.
 
     Attributes:
-        spec: plain values from which `make_dynamics` builds the same module, weights apart.
-        assumes: what is assumed known about the dynamics, to be stated with every score.
+        spec: plain values from which `make_dynamics` builds the same module, except for the weights.
+        assumes: prior knowledge about the dynamics, stated with every score.
         clock: k, clock coordinates of the states: 0, 1 for time, 1 + m for time and m controls.
-        begins_known: whether fresh parameters are known physics alone, the learned part being zero.
+        begins_known: whether the learned part is zero before training, so that only known physics acts.
         anchored: whether it fixes the origin of the positions, so that a bias of all readings is detectable.
     """
 
@@ -63,7 +63,7 @@ class Dynamics(nn.Module, ABC):
             UserError: other than a tensor of states along the last axis.
         """
         dof = getattr(self, "spec", {}).get("dof")
-        allowed = ((2 * dof,), (2 * (dof + self.clock),)) if dof else ()  # the field names a missing time
+        allowed = ((2 * dof,), (2 * (dof + self.clock),)) if dof else ()  # the field reports a missing time
         if not isinstance(x, Tensor) or (dof and x.shape[-1:] not in allowed):
             components = f"{2 * (dof + self.clock)} components" if dof else "states"
             message = (
@@ -73,14 +73,14 @@ class Dynamics(nn.Module, ABC):
         return x + self.increment(x, dt)
 
     def rollout(self, start: Tensor, steps: int, dt: TimeStep) -> Tensor:
-        """Return trajectories, shape (B, steps + 1, D), from states `start`, (B, D), which they begin with.
+        """Return trajectories, shape (B, steps + 1, D), which begin with the states `start`, (B, D).
 
         Gradients flow to all that require them; under `torch.no_grad` memory is saved.
 
         Args:
             start: (B, D) states.
             steps: number of steps.
-            dt: step length, or (B, steps) of them.
+            dt: step length, or (B, steps) step lengths.
         """
         return rollout(self, start, dt, steps + 1, gradients=torch.is_grad_enabled())
 

@@ -127,7 +127,7 @@ class NetworkEnergy(nn.Module):
     def derivatives(self, q: Tensor) -> tuple[Tensor, Tensor]:
         """Return the gradient, shape (B, n), and the Hessian, shape (B, n, n), at q, shape (B, n)."""
         gradient, hessian = network_derivatives(self.network, self.inputs, q)
-        if self.falloff:  # of w N, w = (R / r)^k, from those of N
+        if self.falloff:  # derivatives of w N, w = (R / r)^k, from the derivatives of N
             value = self.network(self.inputs(q))
             weight, fall = self.envelope(q)  # w and f = grad log w = -k q / r^2
             square = q.square().sum(-1)[:, None, None]
@@ -141,7 +141,8 @@ class NetworkEnergy(nn.Module):
     def write_rows(self, theta: Tensor, q: Tensor, factors: Tensor, out: Tensor) -> None:
         """Write factors (B, n) times d(dE/dq)/dtheta to `out`, (B, n, P), theta (P,) its parameters."""
         z, pullback = self.inputs.linearised(q)
-        # dE/dq is linear in the gradient of the network: row i of each sample is a cotangent of it.
+        # dE/dq is linear in the gradient of the network: row i of each sample is a cotangent of that
+        # gradient.
         linear = slopes(z, pullback).mT
         factors, on_value = factors * self.unit, None
         if self.falloff:
@@ -200,7 +201,8 @@ class CentralBody(nn.Module):
     Args:
         remainder: learned perturbation of the point mass; its unit is the residual force of the data.
         mass: mass m of the moving body.
-        mu: gravitational parameter; None learns it, starting from the median of estimates from single forces.
+        mu: gravitational parameter. If None, it is learned, starting from the median of estimates from
+            individual force samples.
     """
 
     def __init__(self, remainder: NetworkEnergy, mass: float, mu: float | None) -> None:

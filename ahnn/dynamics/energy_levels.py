@@ -1,10 +1,11 @@
 """Units of a network divided among coordinates whose energies differ by orders of magnitude.
 
-The energy of a coordinate is its rate times its range, one of positions and one of momenta. A force on light
-coordinates is a small slope of a large energy, and each unit of a network that sees both kinds bends it by as
-much as the heavy ones need. Where H = E(heavy) + e F(heavy, light) with a small e, units for F see all
-coordinates and are weighed by e; units for E are moved by light coordinates by no more than e. This is how
-weights begin, and `unit` of a parameter, which second-order steps are measured in, keeps them there.
+The energy of a coordinate is the rate of its position times the range of its momentum, or the reverse. A
+force on light coordinates is a small slope of a large energy, and a network unit with inputs of both kinds
+bends it as much as heavy coordinates need. For H = E(heavy) + e F(heavy, light) with small e, units for F
+have all coordinates as inputs and weight e; light coordinates affect units for E by at most e. Initial
+weights follow this division, and `unit` of a parameter, in which second-order steps are measured, preserves
+it.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from ahnn.dynamics.scaling import UNEVEN
 from ahnn.statistics import Statistics
 
 ROUNDING = 1e-12
-"""Ratio at which a motion is taken for rounding, which needs none."""
+"""Ratio below which a motion is attributed to rounding and needs no unit."""
 
 
 def coordinate_energies(statistics: Statistics) -> Tensor:
@@ -32,7 +33,7 @@ def coordinate_energies(statistics: Statistics) -> Tensor:
 
 
 def levels(energies: Tensor) -> Tensor:
-    """Return for each energy, shape (n,), the largest one of similar size, in units of the first."""
+    """Return for each energy, shape (n,), the largest of similar size, in units of the overall largest."""
     relative = energies / energies.max()
     found, top = torch.ones_like(relative), 1.0
     for k in relative.argsort(descending=True).tolist():
@@ -46,9 +47,9 @@ def divide_units(network: Network, inputs: Iterable[InputMap], statistics: Stati
     """Divide the units of a perceptron of one output among the levels of coordinates, if there are several.
 
     Args:
-        network: with fresh weights, which are scaled.
+        network: network with fresh weights, which are scaled.
         inputs: maps whose concatenated outputs are the inputs of the network.
-        statistics: of the training split.
+        statistics: statistics of the training split.
     """
     entering = levels(coordinate_energies(statistics))
     tops = entering.unique().flip(0)
@@ -72,7 +73,7 @@ def energies_of(inputs: InputMap, energies: Tensor) -> Tensor | None:
 
 @torch.no_grad()
 def scale(parameter: Tensor, unit: Tensor) -> None:
-    """Give a parameter a unit for each element, and bring its value into it."""
+    """Set a unit for each element of a parameter, and scale its value to the unit."""
     unit = unit.to(parameter)
     parameter.mul_(unit / getattr(parameter, "unit", 1.0))
     vars(parameter)["unit"] = unit

@@ -100,7 +100,7 @@ class NeuralDynamics(IntegratedField):
 
 
 MOVES = ("mechanical", "central_body", "pairs")
-"""Hamiltonians whose kinetic energy is known: without the learned part they are a motion."""
+"""Hamiltonians with known kinetic energy, which describe a motion even without the learned part."""
 CENTRED = ("isotropic", "radial", "central_body", "perturbed_body")
 """Input maps and Hamiltonians that assume a force centre at the origin."""
 
@@ -114,7 +114,7 @@ class HamiltonianDynamics(IntegratedField):
         inertia: factor m of T = p^2 / 2m, used by `mechanical` and `central_body`; a number, or one per
             coordinate for `mechanical`.
         hamiltonian: generic, separable, mechanical, central_body, mass_matrix or pairs.
-        mu: gravitational parameter of `central_body`; None learns it.
+        mu: gravitational parameter of `central_body`; None: learned.
         falloff: k of a learned V(q) = (R / r)^k N(q); 0 for no prescribed decay with distance.
         dimensions: number of coordinates of a body, for `pairs`.
         inputs: cartesian, isotropic or radial positions, or angles.

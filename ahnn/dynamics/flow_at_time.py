@@ -57,9 +57,8 @@ class Bound(NamedTuple):
         """Return the clock of states (B, 2n); raises UserError for unknown controls."""
         if clock_of(self.flow) > 1 and self.controls is None:
             message = (
-                "flow: expected forces that depend only on state and time in an estimator; received some "
-                "that depend on controls. "
-                "`ahnn.dynamics.flow_at_time.steered` supplies the controls"
+                "flow: expected forces that depend only on state and time in an estimator; received forces "
+                "that depend on controls. `ahnn.dynamics.flow_at_time.steered` supplies the controls"
             )
             raise UserError(message)
         if isinstance(self.time, Tensor):

@@ -1,7 +1,7 @@
 """Explicit Runge-Kutta steps along a network's gradient as a single autograd operation.
 
-The backward pass of a step is written out, stage by stage, around that of the gradient. Autograd then records
-one node per step instead of several hundred.
+The backward pass of a step is written out, stage by stage, around the backward pass of the gradient. Autograd
+then records one node per step instead of several hundred.
 """
 
 from __future__ import annotations

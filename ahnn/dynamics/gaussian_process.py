@@ -7,7 +7,7 @@ fixed frequencies xi_k drawn from N(0, I) (Rahimi & Recht 2007, NeurIPS):
 
 A Hamiltonian, and its field J grad H in closed form, are then linear in the weights a and b (Tanaka, Iwata &
 Ueda 2022, NeurIPS; Ross & Heinonen 2023, TMLR). The cosine is a sine with a phase: this is a network whose
-hidden layer consists of waves. The prior on the weights is that of `ahnn.training.evidence` with
+hidden layer consists of waves. The prior on the weights is the prior of `ahnn.training.evidence` with
 precision K / s^2, and maximum evidence determines the amplitude s.
 """
 
@@ -28,7 +28,7 @@ from ahnn.memory import require_memory
 
 BEGIN = 2.0
 """Initial length scales: the range of scaled states. Data shorten lengths that are too long; with lengths
-that are too short, weights without a prior, as before the last steps, fit the noise.
+that are too short, weights without a prior, as before the final steps, fit the noise.
 """
 
 

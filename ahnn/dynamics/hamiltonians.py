@@ -33,7 +33,7 @@ Structure = Literal["generic", "separable", "mechanical", "central_body", "mass_
 class GenericHamiltonian(ScaledStates):
     """H(q, p) as a single network, without structural assumptions.
 
-    The arguments are those of `ScaledStates`, and width, depth and activation of the network.
+    Takes the arguments of `ScaledStates`, and width, depth and activation of the network.
     """
 
     unit: Tensor
@@ -182,7 +182,7 @@ def make_hamiltonian(
             potential of the distances between bodies.
         dof: degrees of freedom n.
         mass: mass of `mechanical` and `pairs`, common or per coordinate, and of `central_body`.
-        mu: gravitational parameter of `central_body`; None learns it.
+        mu: gravitational parameter of `central_body`; None: learned.
         falloff: k of a learned V(q) = (R / r)^k N(q); 0 for no prescribed decay with distance.
         dimensions: number of coordinates of a body, for `pairs`.
         inputs: input map of the positions: cartesian, isotropic, radial or angles.

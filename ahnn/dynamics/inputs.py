@@ -46,8 +46,8 @@ class LogDistance(nn.Module):
         low, high = (float(r) for r in statistics.radius)
         if not 0 < low < high:
             message = (
-                f"inputs {self.name}: expected distances 0 < low < high from the centre; "
-                f"received {low} to {high}. Use inputs=cartesian for this system."
+                f"inputs {self.name}: expected distances 0 < low < high from the centre; received {low} to "
+                f"{high}. Use inputs=cartesian for this system."
             )
             raise UserError(message)
         logs = statistics.radius.log()
@@ -252,8 +252,8 @@ def position_inputs(name: InputName, dof: int, scaling: Kind, angular: list[bool
     if name == "angles":
         if not angular or len(angular) != dof or not any(angular):
             message = (
-                f"inputs angles: expected coordinates that are angles, in rad; received {angular}. Positions "
-                "whose unit is rad are, and those that `Space.angles` names"
+                f"inputs angles: expected coordinates that are angles, in rad; received {angular}. Angles "
+                "are the positions in rad and the positions in `Space.angles`"
             )
             raise UserError(message)
         return Angles(angular, scaling)

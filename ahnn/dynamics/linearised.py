@@ -76,7 +76,7 @@ def _side_by_side(dynamics: Dynamics, copies: Sequence[Tensor], shares: Sequence
 
 
 def _copied(waves: Waves, prefix: str, log_lengths: Sequence[Tensor]) -> dict[str, Tensor]:
-    """Return concatenated wave tensors: the first copy follows the lengths, the others have fixed lengths."""
+    """Return concatenated wave tensors: only the first copy follows the lengths."""
     first, *others = log_lengths
     kept = [waves.weight_at(other)[::2] for other in others]
     return {

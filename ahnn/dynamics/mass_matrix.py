@@ -20,7 +20,7 @@ class MassMatrixHamiltonian(ScaledStates):
     The inverse is L(q) L(q)^T, so that the kinetic energy is non-negative. The network outputs are the
     difference of the lower triangle L from the identity, in units of the data, and V.
 
-    The arguments are those of `ScaledStates`, and width, depth and activation of the network.
+    Takes the arguments of `ScaledStates`, and width, depth and activation of the network.
     """
 
     units: Tensor

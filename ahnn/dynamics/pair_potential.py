@@ -136,7 +136,7 @@ def body_masses(dof: int, mass: float | Sequence[float], dimensions: int) -> lis
     if dof % dimensions or dof < 2 * dimensions:
         message = (
             f"hamiltonian pairs: expected {dimensions} coordinates for each of two bodies or more; received "
-            f"{dof}. model.dimensions says how many a body has"
+            f"{dof}. model.dimensions sets the number per body"
         )
         raise UserError(message)
     each = [float(mass)] * dof if isinstance(mass, int | float) else [*mass]
@@ -164,7 +164,7 @@ def for_bodies(dynamics: nn.Module, masses: Sequence[float]) -> nn.Module:
         message = f"for_bodies: expected dynamics with hamiltonian=pairs; received {type(dynamics).__name__}"
         raise UserError(message)
     if len(masses) < 2 or not all(0 < mass < math.inf for mass in masses):
-        message = f"masses: expected two finite ones > 0 or more; received {list(masses)}"
+        message = f"masses: expected two or more finite masses > 0; received {list(masses)}"
         raise UserError(message)
     potential.masses = [float(mass) for mass in masses]
     cast(Any, field).kinetic = Quadratic([m for m in potential.masses for _ in range(potential.dimensions)])

@@ -86,8 +86,8 @@ class Increments:
 
     Args:
         dynamics: float64 dynamics, which are not modified.
-        calls: expected number of calls, which decides whether to record: results then depend on the problem
-            alone, not on earlier ones.
+        calls: expected number of calls, which decides whether to record: results then depend only on the
+            problem, not on earlier problems.
     """
 
     def __init__(self, dynamics: Dynamics, calls: int) -> None:

@@ -19,9 +19,9 @@ Kind = Literal["minmax", "block", "none"]
 
 
 UNEVEN = 30.0
-"""Ratio of ranges, or of energies, from which coordinates have scales of their own."""
+"""Ratio of ranges, or of energies, from which coordinates have separate scales."""
 ROUNDING = 1e-9
-"""Ratio at which a component is taken to be constant but for rounding."""
+"""Ratio below which a component counts as constant except for rounding."""
 
 
 @checked
@@ -30,8 +30,8 @@ class Affine(nn.Module):
 
     Args:
         kind: `minmax` maps each component to [-1, 1] (the paper); `block` shares one scale among the
-            positions and one among the momenta, but for those that vary `UNEVEN` times less than others,
-            which would hardly be seen; `none` is the identity.
+            positions and one among the momenta, except for components that vary `UNEVEN` times less than
+            others, which would hardly count; `none` is the identity.
         size: number of components.
     """
 

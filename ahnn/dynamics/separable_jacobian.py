@@ -55,7 +55,7 @@ def separable_rows(field: SeparableHamiltonian, theta: Tensor, x: Tensor, factor
 
 
 def has_generic_rows(field: nn.Module) -> TypeGuard[GenericHamiltonian]:
-    """Return whether a field is that of a single network with closed-form derivatives."""
+    """Return whether a field is defined by a single network with closed-form derivatives."""
     return isinstance(field, GenericHamiltonian) and field.has_hessian
 
 

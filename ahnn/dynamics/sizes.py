@@ -34,7 +34,7 @@ def fillable(state: Mapping[str, Tensor]) -> Iterator[None]:
             return
         tensors, numbers = tensors - 1, numbers - tensor.numel()
         if tensors < 0 or numbers < 0:
-            message = f"dynamics: expected sizes that match the {len(state)} tensors; received larger ones"
+            message = f"dynamics: expected sizes that match the {len(state)} tensors; received larger sizes"
             raise UserError(message)
 
     hooks = [

@@ -34,7 +34,7 @@ class StepMap(Dynamics):
         return float(self.dt)
 
     def require(self, dt: TimeStep) -> None:
-        """Raise UserError for a step other than that of the training."""
+        """Raise UserError for a step other than the training step."""
         if not torch.compiler.is_exporting():  # a graph is specific to its step
             require_step(self.own_step, dt)
 

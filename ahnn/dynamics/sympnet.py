@@ -68,7 +68,7 @@ class SympNet(SymplecticMap):
         dof: degrees of freedom n.
         scaling: block or none.
         form: `G` or `LA`.
-        layers: number of modules of each kind that change positions; as many change momenta.
+        layers: number of modules of each kind that change positions, and that change momenta.
         shears: number of shears in a linear module of LA; None for 4.
         network: width of the gradient modules of G and the activation; `depth` is ignored.
     """

@@ -66,7 +66,7 @@ def own_jacobians(
 
     Args:
         dynamics: dynamics with the parameters to use.
-        dtype: of the Jacobians.
+        dtype: type of the Jacobians.
     """
     return partial(jacobians_of_steps(dynamics, dtype), parameters_to_vector(dynamics.parameters()).detach())
 
@@ -152,6 +152,6 @@ class ForcedVariations:
 
 @torch.no_grad()
 def _slope(energy: Energy | GenericHamiltonian, x: Tensor) -> Tensor:
-    """Return dE/dx at the first row and its variations along the others, shape of x, (B, 1 + D, n)."""
+    """Return dE/dx at the first row and its variations along the other rows, shape of x, (B, 1 + D, n)."""
     gradient, hessian = energy.derivatives(x[:, 0])
     return torch.cat((gradient.unsqueeze(1), x[:, 1:] @ hessian), dim=1)

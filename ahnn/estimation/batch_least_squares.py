@@ -2,7 +2,7 @@
 
 The classical estimator of orbit determination (Tapley, Schutz & Born 2004, section 4.6), with an exact flow:
 the only unknown is the initial state, residuals are normalised by their standard deviations, and Gauss-Newton
-steps with individual damping are taken over growing spans. The covariance is that of the linearised problem
+steps with individual damping are taken over growing spans. The covariance comes from the problem linearised
 at the solution, propagated along the path: it includes measurement noise and prior, but no error of the flow.
 """
 
@@ -88,7 +88,7 @@ def batch_least_squares(
         start_time: time of the belief.
 
     Raises:
-        ValueError: invalid argument, named as by a filter.
+        ValueError: invalid argument, with the name that filters use.
     """
     check_belief(belief)
     sensor = checked_sensor(measurement, measurement_noise, belief, None)
@@ -121,7 +121,7 @@ def _refined(arc: Arc, start: Tensor, iterations: int, first: float) -> tuple[Fi
 
 
 def _result(arc: Arc, fit: Fit, settled: Tensor) -> BatchResult:
-    """Return beliefs along the whole arc, including after its last measurement."""
+    """Return beliefs along the entire arc, including after its last measurement."""
     whole = followed(arc._replace(measured=[len(arc.grid.lengths) - 1]), fit.states[:, 0])
     parts = (fit.sums[:, None, None], fit.design, whole.states, whole.moved.flatten(2))
     sound = torch.stack([part.isfinite().all(-1).all(-1) for part in parts]).all(0)

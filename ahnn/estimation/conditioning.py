@@ -28,11 +28,11 @@ def conditioned(
 
     Args:
         prior: (B, D) prior mean.
-        joint: (B, M + D, M + D) lower factor of the covariance of measurement, noise included, and state:
+        joint: (B, M + D, M + D) lower factor of the covariance of measurement (with noise) and state:
             [[chol_y, 0], [cross, chol]]. A missing component has variance one and no correlation.
         innovation: (B, M), zero where the component is missing.
         y: (B, M), NaN where missing.
-        repaired: (B,) bool, whether the factor was repaired; None if no repair was needed.
+        repaired: (B,) bool, whether the factor was repaired; None: no repairs.
     """
     size, present = y.shape[-1], ~torch.isnan(y)
     chol_y, cross, chol = joint[:, :size, :size], joint[:, size:, :size], joint[:, size:, size:]

@@ -58,8 +58,8 @@ def judged_nis(result: FilterResult) -> Judged:
 def nis_at_times(values: Tensor, measured: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return the NIS per measured number at each time over all members, and its 95 % band, (T,) each.
 
-    The NIS of members add to chi-square with as many degrees of freedom as measured numbers, which differ
-    where a sensor does not see all.
+    The NIS of members add to chi-square with as many degrees of freedom as measured numbers, which differ if
+    a sensor does not measure all members.
 
     Args:
         values: (B, T) NIS, NaN where ignored.

@@ -80,7 +80,7 @@ def covariance_factor(matrix: Covariance, name: str, *, batch: int, size: int, d
         return matrix
     stacked = matrix.reshape(-1, size, size)
     scale = _check_entries(stacked.detach(), name)
-    # A component of zero variance has a zero row in the factor; gradients of the others bypass it.
+    # A component of zero variance has a zero row in the factor; gradients of the other components bypass it.
     still = torch.diagonal(stacked.detach(), dim1=-2, dim2=-1) == 0.0
     chol, info = torch.linalg.cholesky_ex(stacked + torch.diag_embed(still.to(stacked)))
     chol = chol * ~still.unsqueeze(-1)
@@ -113,15 +113,15 @@ def _check_entries(matrix: Tensor, name: str) -> Tensor:
     if bool((asymmetry > 0.0).any()):
         b, i, j = (int(n) for n in torch.nonzero(asymmetry == asymmetry.max())[0])
         message = (
-            f"{name}: expected a symmetric matrix; received [{i}, {j}] = {float(matrix[b, i, j])} "
-            f"but [{j}, {i}] = {float(matrix[b, j, i])}; pass (A + A.mT) / 2 to symmetrise it"
+            f"{name}: expected a symmetric matrix; received [{i}, {j}] = {float(matrix[b, i, j])} but [{j}, "
+            f"{i}] = {float(matrix[b, j, i])}; pass (A + A.mT) / 2 to symmetrise it"
         )
         raise ValueError(message)
     impossible = (variance == 0.0).unsqueeze(-1) & (matrix != 0.0)
     if bool(impossible.any()):
         b, i, j = (int(n) for n in torch.nonzero(impossible)[0])
         message = (
-            f"{name}: expected zeros beside the zero variance [{i}, {i}]; received "
+            f"{name}: expected zeros in the row of the zero variance [{i}, {i}]; received "
             f"[{i}, {j}] = {float(matrix[b, i, j]):.6g}; it is indefinite"
         )
         raise ValueError(message)
@@ -148,7 +148,7 @@ def _check_eigenvalues(matrix: Tensor, scale: Tensor, failed: Tensor, name: str,
 
 
 def _semidefinite_factor(matrix: Tensor, scale: Tensor) -> Tensor:
-    """Return lower factors of positive semidefinite matrices (B, D, D), zero eigenvalues included."""
+    """Return lower factors of positive semidefinite matrices (B, D, D), also with zero eigenvalues."""
     values, vectors = torch.linalg.eigh(matrix / (scale.unsqueeze(-1) * scale.unsqueeze(-2)))
     rows = (vectors * values.clamp(min=0.0).sqrt().unsqueeze(-2)).mT * scale.unsqueeze(-2)
     return tria(rows)

@@ -1,10 +1,10 @@
 """Estimator protocols, from single steps to batches.
 
     State       variables carried between two calls: a NamedTuple of tensors, so that any state is saved and
-                restored bit for bit (`save_state`). It has a time, a status of each member, and moments.
+                restored exactly (`save_state`). It has a time, a status of each member, and moments.
     Recursive   start, predict, update: pure functions of a state, sufficient for streams
                 (`ahnn.assimilation`).
-    Estimator   a Recursive with a name and a gate that also filters whole batches of rows, for evaluations,
+    Estimator   a Recursive with a name and a gate that also filters batches of rows, for evaluations,
                 fits of process noise and figures (`ahnn.evaluation.estimators`).
     Kernel      the two formulas of a Gaussian filter. `GaussianFilter` turns a kernel into an Estimator: it
                 adds argument checks, gating, missing data, status and freezing of members, counts of
@@ -44,7 +44,7 @@ class Innovation(NamedTuple):
 
     Attributes:
         residual: (B, M) measurement minus prediction, NaN where a component is missing.
-        deviation: (B, M) predicted standard deviations of the available residuals, R included.
+        deviation: (B, M) predicted standard deviations of the available residuals, including R.
         nis: (B,) normalised innovation squared of the available components, including rejected rows; NaN
             without measurements.
         measured: (B,) int64, number of available components.
@@ -77,7 +77,7 @@ class RecursiveEstimator(Protocol[S]):
 
     @property
     def about(self) -> dict[str, Any]:
-        """Plain values that determine its estimates and must match those of a saved state."""
+        """Plain values that determine its estimates and must match a saved state."""
         ...
 
     def start(self, belief: Belief, time: float = 0.0) -> S:
@@ -129,7 +129,7 @@ class Smoothed(NamedTuple):
 
 
 class Estimator(RecursiveEstimator[S], Protocol[S]):
-    """Recursive estimator that also processes whole batches of rows."""
+    """Recursive estimator that also processes batches of rows."""
 
     @property
     def smoothers(self) -> Mapping[str, Callable[[FilterResult, Batch], Smoothed]]:
@@ -137,7 +137,7 @@ class Estimator(RecursiveEstimator[S], Protocol[S]):
         ...
 
     def gated(self, gate: Gate | None) -> Self:
-        """Return a copy with a gate for improbable rows, or None for no gate."""
+        """Return a copy with a gate for improbable rows; None: no gate."""
         ...
 
     def run(
@@ -165,7 +165,7 @@ class SensorModel(NamedTuple):
     Attributes:
         measurement: measurement model.
         chol_r: (B, M, M) factor of R.
-        thresholds: (M + 1,) largest accepted NIS by number of available components; None for no gate.
+        thresholds: (M + 1,) largest accepted NIS by number of available components; None: no gate.
         patience: number of consecutive rejections at which a member fails.
     """
 

@@ -29,7 +29,7 @@ SCALES = tuple(10.0**k for k in range(-1, 3))
 
 
 class FittedForceError(NamedTuple):
-    """Force error with size² equal to `scale` times that of one step, and the mean NEES of each candidate."""
+    """Force error with size² equal to `scale` times the size² of one step, and mean NEES of candidates."""
 
     error: ForceError
     scale: float
@@ -55,8 +55,8 @@ def fitted_force_error(
         problem: V validation arcs for the choice of size.
         trajectories: trajectories with a common sampling interval, whose residuals give size and memory.
         inertia: the factor m of p = m dq/dt.
-        size: prescribed size; None for that of the residuals, scaled.
-        memory: prescribed time constant; None for that of the residuals.
+        size: prescribed size; None: the size of the residuals, scaled.
+        memory: prescribed time constant; None: the time constant of the residuals.
         growth: factor on the error at a state; None for 1 everywhere.
     """
     dt = float(Statistics.of(trajectories).dt)

@@ -12,12 +12,12 @@ from ahnn.numbers import chi_square_quantile
 
 
 class Gate(NamedTuple):
-    """Chi-square gate on whole measurement rows.
+    """Chi-square gate on complete measurement rows.
 
     Attributes:
         probability: a row is rejected when its NIS exceeds this quantile of the chi-square distribution.
         patience: number of consecutive rejections that lead to `Status.DIVERGED`.
-        reopens: they end in nothing, but streams widen the belief then, see `ahnn.estimation.reopening`.
+        reopens: whether streams then widen the belief instead, see `ahnn.estimation.reopening`.
     """
 
     probability: float = 0.9999
@@ -48,7 +48,7 @@ def thresholds(gate: Gate, width: int, device: torch.device | None = None) -> Te
     """Return the largest accepted NIS, (M + 1,), by the number of available components.
 
     Args:
-        gate: gate for whole rows.
+        gate: gate for complete rows.
         width: number of components M.
         device: device of the result.
     """

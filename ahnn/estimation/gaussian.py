@@ -1,4 +1,4 @@
-"""Gaussian filters built from a kernel, for single steps or whole batches of rows."""
+"""Gaussian filters built from a kernel, for single steps or batches of rows."""
 
 from __future__ import annotations
 

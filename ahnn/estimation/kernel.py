@@ -54,7 +54,7 @@ def update(
 
 
 def _within_gate(updated: Updated, sensor: SensorModel) -> bool:
-    """Return whether every member is so near to its row that no gate refuses it, of whatever size it is."""
+    """Return whether every member is so close to its row that any gate accepts it, whatever its size."""
     return sensor.thresholds is None or bool((updated.nis <= sensor.thresholds[1]).all())
 
 
@@ -115,7 +115,7 @@ def checked_prediction(state: Kept) -> Kept:
 
 
 def taken(state: FilterState, updated: Updated) -> FilterState:
-    """Return the state after an update accepted by every member, equal to that of `decided`."""
+    """Return the state after an update accepted by every member, equal to the result of `decided`."""
     return state._replace(
         belief=updated.belief,
         rejections=torch.zeros_like(state.rejections),

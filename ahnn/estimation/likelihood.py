@@ -1,8 +1,9 @@
 """Maximum-likelihood noise parameters from filter innovations, without known truth.
 
-The log-likelihood of the innovations is that of the measurements, given the noise parameters (Schweppe 1965),
-and the filter is differentiable. The parameters are unconstrained numbers, such as logarithms of standard
-deviations or of a time constant; a quasi-Newton method maximises the likelihood from an initial guess.
+The log-likelihood of the innovations equals the log-likelihood of the measurements, given the noise
+parameters (Schweppe 1965), and the filter is differentiable. The parameters are unconstrained numbers, such
+as logarithms of standard deviations or of a time constant; a quasi-Newton method maximises the likelihood
+from an initial guess.
 """
 
 from __future__ import annotations

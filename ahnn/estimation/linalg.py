@@ -17,7 +17,7 @@ def tria(rows: Tensor) -> Tensor:
     Args:
         rows: (B, N, D) with N >= D.
     """
-    # The derivative needs the orthogonal factor; the triangular factor is the same.
+    # The derivative needs the orthogonal factor; otherwise the triangular factor suffices.
     mode = "reduced" if torch.is_grad_enabled() and rows.requires_grad else "r"
     upper = torch.linalg.qr(rows, mode=mode).R
     diagonal = torch.diagonal(upper, dim1=-2, dim2=-1)

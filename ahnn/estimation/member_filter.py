@@ -208,7 +208,7 @@ class MemberFilter(ABC, Generic[M]):
                 infinite measurements, matrices that are not covariances, steps that are not positive, or
                 incompatible constants. Raised within the loop for a flow or measurement model that returns a
                 wrong shape, and for a process noise function that returns no covariance for some length.
-                Failures of single members raise no error and appear in the result's `status`.
+                Failures of individual members raise no error and appear in the result's `status`.
         """
         state = self._begun(belief, start_time)
         with torch.set_grad_enabled(gradients):
@@ -230,7 +230,7 @@ class MemberFilter(ABC, Generic[M]):
         state = cast(M, belief)
         check_state(state, self.carried)
         if start_time != 0.0:
-            message = f"start_time: expected none beside a state, which has its own; received {start_time}"
+            message = f"start_time: expected none with a state, which has its own time; received {start_time}"
             raise ValueError(message)
         return state
 

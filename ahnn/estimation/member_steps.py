@@ -73,7 +73,7 @@ def member_rows(state: S, chosen: Tensor) -> S:
 
 
 def put_rows(state: S, chosen: Tensor, part: S) -> None:
-    """Write the state of members, by index or mask (B,), into that of all, in place."""
+    """Write the state of members, by index or mask (B,), into the state of all, in place."""
     for whole, own in zip(_tensors(state), _tensors(part), strict=True):
         if whole.ndim:
             whole[chosen] = own
@@ -93,5 +93,5 @@ def _each(state: S, work: Callable[[Tensor], Tensor]) -> S:
 
 
 def _tensors(state: Any) -> list[Tensor]:
-    """Return the tensors of a state, those of nested tuples in order."""
+    """Return the tensors of a state and of its nested tuples, in order."""
     return [one for part in state for one in (_tensors(part) if isinstance(part, tuple) else (part,))]

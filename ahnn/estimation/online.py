@@ -43,7 +43,7 @@ def online_process(
         process_noise: covariance Q of one step of h, (D, D).
         force_error: error model in addition to Q: of the force, relative and with memory, or of the
             parameters.
-        about: plain values that identify the flow and must match those of a saved state.
+        about: plain values that identify the flow and must match a saved state.
 
     Raises:
         ValueError: Q is not a covariance.
@@ -94,6 +94,6 @@ def weights_hash(flow: Flow) -> str:
 
 
 def _augmented(chol: Tensor, error: ForceError | ParameterError, dt: float) -> Factor:
-    """Return the factor of Q of augmented states over a step dt, from that of the state alone."""
+    """Return the factor of Q of augmented states over a step dt, from the factor of the state."""
     own = error.process_noise(torch.zeros_like(chol), dt)[len(chol) :, len(chol) :].sqrt()
     return Factor(torch.block_diag(chol, own))

@@ -32,7 +32,7 @@ class ParameterError(NamedTuple):
         added: number K of directions.
         size: standard deviation of each component of eta, a number or (B,).
         left_out: upper bound on the contribution of omitted directions to the NEES of a filter.
-        name: identifier of the directions, which must match that of a saved filter.
+        name: identifier of the directions, which must match a saved filter.
     """
 
     columns: Callable[[Tensor], Tensor]

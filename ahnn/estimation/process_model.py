@@ -30,7 +30,7 @@ def same(value: Any) -> Any:
 
 
 class StepLaw(NamedTuple):
-    """What leads back over one step: means (B, D) before it and as predicted, and the law of the smoother."""
+    """Data for a step backwards: means (B, D) before the step and as predicted, and the smoother's law."""
 
     before: Tensor
     predicted: Tensor
@@ -60,7 +60,7 @@ class Process(NamedTuple):
     about: dict[str, Any] = {}  # noqa: RUF012 - never written to
 
     def with_estimator(self, estimator: RecursiveEstimator[Any]) -> Process:
-        """Return the same with another estimator, such as with another gate."""
+        """Return a copy with a different estimator, for example with a different gate."""
         about = getattr(estimator, "about", {})
         return self._replace(estimator=estimator, about={**self.about, **about})
 
@@ -72,14 +72,14 @@ class Process(NamedTuple):
         controls: ControlTable | None = None,
         laws: list[StepLaw] | None = None,
     ) -> S:
-        """Return the state of the time `since` at a later one.
+        """Return the state of the time `since` propagated to a later time.
 
         Args:
             state: estimator state.
             since: its time.
-            time: the later one.
-            controls: of a flow that has some, from `since` on; no step crosses a jump of them.
-            laws: to which those of the steps are added, of a Gaussian filter; None asks for none.
+            time: later time.
+            controls: controls of the flow after `since`, or None; no step crosses one of their jumps.
+            laws: list to which a Gaussian filter adds the laws of the steps, or None.
         """
         if not time > since:
             return state
@@ -99,7 +99,7 @@ class Process(NamedTuple):
         return state
 
     def _with_law(self, state: S, flow: Flow, length: float, laws: list[StepLaw]) -> S:
-        """Return the state after a step, whose law is added to others."""
+        """Return the state after a step, and append the law of the step."""
         before, filtering = cast(FilterState, state), cast("GaussianFilter", self.estimator)
         chol_q = process_factor(self.noise(length), before.belief)(length)
         given = before, flow, length, before.time + length, chol_q
@@ -109,7 +109,7 @@ class Process(NamedTuple):
         return cast(S, after)
 
     def members_advanced(self, state: S, since: Tensor, times: Tensor) -> S:
-        """Propagate B members, each from its own time to a later one, as by `advanced`.
+        """Propagate B members, each from its own time to a later time, like `advanced`.
 
         The time of the result is meaningless.
 

@@ -82,7 +82,7 @@ def fitted_process_noise(
 
 
 def mean_nees(chosen: Filter, setting: Setting, problem: Problem, scales: tuple[float, ...]) -> list[float]:
-    """Return the mean NEES from the first update on, for each factor of a filter's process noise.
+    """Return the mean NEES after the first update, for each factor of a filter's process noise.
 
     All factors are evaluated in one batch. A factor for which a member fails gives inf.
 

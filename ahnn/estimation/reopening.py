@@ -1,9 +1,9 @@
 """Reopening of a gate: many consecutive rejections mean that the filter has lost its object.
 
-The belief gets the covariance with which it began on top, and as many times that as the measurement needs to
-be no surprise: its normalised innovation squared (NIS) at most twice the number of its components. Positions
-and velocities become uncertain together in the proportion of the start, also in directions in which the
-belief had become narrow; biases and parameters, which no manoeuvre changes, keep their covariance.
+The covariance of the start is added to the belief, times a factor that makes the measurement unsurprising:
+its normalised innovation squared (NIS) is at most twice the number of its components. Positions and
+velocities become uncertain in the proportion of the start, also in directions in which the belief had become
+narrow; biases and parameters, which no manoeuvre changes, keep their covariance.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from ahnn.measurements import Measurement
 USUAL = 2.0
 """NIS of a component at which a measurement is unsurprising."""
 WIDEST = 1e16
-"""Most times the covariance of the start: 1e8 standard deviations away is nothing that was measured."""
+"""Maximum factor on the covariance of the start: no measurement is 1e8 standard deviations away."""
 TRIES = 20
-"""Most factors that are tried; three or four do, since the NIS falls as one over the factor in the end."""
+"""Maximum number of factors; three or four suffice, since the NIS finally falls as one over the factor."""
 
 
 def reopened(
@@ -40,26 +40,26 @@ def reopened(
     noise: Covariance,
     spread: Tensor,
 ) -> tuple[Kept, Innovation, Tensor]:
-    """Return the states given a row each, of beliefs that are widened until the row is no surprise.
+    """Return the states given a row each, from beliefs widened until the row is not surprising.
 
     Args:
-        estimator: with its gate.
+        estimator: estimator with its gate.
         before: state of B members before the rows.
         y: (B, M) rows, NaN where a component is missing.
-        model: of the rows.
+        model: measurement model of the rows.
         noise: R.
         spread: (B, d, d) factors of the covariances of the first d components at the start.
 
     Returns:
-        The states, the innovations for the wider beliefs, and members that accepted their row, (B,) bool: the
-        others mean nothing.
+        The states, the innovations for the wider beliefs, and members that accepted their row, (B,) bool; all
+        other members are meaningless.
     """
     # Rows still too far away are rejected, since some filters fail on them.
     wary, factor = estimator.gated(Gate(0.999999)), torch.ones_like(before.log_likelihood)
     for tried in count(1):
         after, told = wary.update(widened(estimator, before, spread, factor), y, model, noise)
         ratio = told.nis / told.measured
-        far = ratio > USUAL  # not who failed, whose NIS is NaN
+        far = ratio > USUAL  # excludes failed members, whose NIS is NaN
         if tried == TRIES or not bool(far.any()):
             return after, told, after.alive & ~told.rejected & ~far & (told.measured > 0)
         factor = torch.where(far, factor * ratio, factor).clamp(max=WIDEST)
@@ -67,7 +67,7 @@ def reopened(
 
 
 def widened(estimator: MemberFilter[Any], state: Kept, spread: Tensor, factor: Tensor) -> Kept:
-    """Return a state whose covariances have so many times that of the start, (B,), on top."""
+    """Return a state with `factor` (B,) times the covariance of the start added."""
     mean, chol = state.belief
     rows = factor.sqrt()[:, None, None] * spread.mT
     rows = torch.cat((chol.mT, pad(rows, (0, chol.shape[-1] - spread.shape[-1]))), dim=1)

@@ -31,7 +31,7 @@ class Predicted(NamedTuple):
         belief: prior of the next update.
         repaired: (B,) bool, repaired members, or None without repairs.
         sound: whether all members are known to be finite with positive variances; False if unchecked.
-        backward: distribution of the state before the step given that after it, (B, D, D), if requested.
+        backward: distribution of the state before the step given the state after it, (B, D, D), if requested.
         mended: (B,) bool, whether this distribution itself was repaired; None without repairs.
     """
 
@@ -71,7 +71,7 @@ class Updated(NamedTuple):
 class FilterResult(NamedTuple):
     """Filter result for a batch of rows; index k is after step k, at time t_0 + dt_0 + ... + dt_k.
 
-    A member whose status is not OK has NaN from its failed step on, and valid estimates before.
+    A member whose status is not OK is NaN after its failure, and valid before.
 
     Attributes:
         initial: belief before the first step.
@@ -88,8 +88,8 @@ class FilterResult(NamedTuple):
         failed_step: (B,) int64, step of this run at which the member failed, 0 if before the run; -1 if OK.
         repairs: (B,) int64, number of repaired covariances and of backward kernels of singular covariances.
         backward: backward kernels for the smoother, if requested.
-        state: state after the last step, for continuation. Its log-likelihood, status and repairs include
-            those of the state from which the run began.
+        state: state after the last step, for continuation. Its log-likelihood, status and repairs include the
+            values of the state from which the run began.
     """
 
     initial: Belief

@@ -75,8 +75,8 @@ class SampleState(NamedTuple):
 def sample_moments(points: Tensor, log_weights: Tensor | None = None) -> Belief:
     """Return the moments of samples (B, N, D).
 
-    Without weights the moments are those of an ensemble, with N - 1 in the denominator of the covariance;
-    with weights those of the discrete distribution, sum_i w_i (x_i - mean)(x_i - mean)ᵀ.
+    Without weights these are the moments of an ensemble, with N - 1 in the denominator of the covariance;
+    with weights, the moments of the discrete distribution, sum_i w_i (x_i - mean)(x_i - mean)ᵀ.
 
     Args:
         points: (B, N, D) samples.

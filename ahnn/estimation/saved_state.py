@@ -1,4 +1,4 @@
-"""Saving of recursive estimator states, restored bit for bit, in a file without executable content.
+"""Exact saving of recursive estimator states in a file without executable content.
 
 A state is a NamedTuple of tensors and of NamedTuples of tensors, stored under their field names. Tensors and
 texts are protected by one checksum, as weights are, and checked against the limits of a state.
@@ -31,7 +31,7 @@ class SavedPart(NamedTuple):
     """Requirements on a tensor of a state: finite, and within limits.
 
     Attributes:
-        axes: axes by B members and D components.
+        axes: B for members, D for components.
         dtype: required dtype.
         least, most: inclusive limits of each number.
     """
@@ -156,7 +156,7 @@ def _check(parts: dict[str, Any], like: EstimatorState | None) -> None:
 
 
 def _compare(parts: dict[str, Tensor], known: Mapping[str, Any]) -> None:
-    """Raise ValueError for tensors whose type or shape differs from that of the template state."""
+    """Raise ValueError for tensors whose type or shape differs from the template state."""
     for name, part in parts.items():
         if (part.dtype, part.shape) != (known[name].dtype, known[name].shape):
             expected = f"{known[name].dtype} {tuple(known[name].shape)}"

@@ -14,7 +14,7 @@ from ahnn.rollouts import clock_of
 from ahnn.types import Flow
 
 MEASUREMENTS = 1_000_003
-"""Offset of the seed of measurement noise, which must differ from that of initial errors."""
+"""Offset of the seed of measurement noise, which must differ from the seed of initial errors."""
 
 
 class Setting(NamedTuple):
@@ -25,7 +25,7 @@ class Setting(NamedTuple):
         measurement_sd: (M,) standard deviations of both the simulated noise and R.
         start_sd: (D,) standard deviations of the initial error; P0 is diagonal.
         updates: increasing indices of measured samples, from 1.
-        sensor_error: biases of the measurements, simulated and estimated; None for none.
+        sensor_error: biases of the measurements, simulated and estimated; None: no biases.
     """
 
     measurement: Measurement
@@ -119,8 +119,8 @@ def perturbed_arcs(
         truth: (N, T + 1, D) trajectories, NaN after the end of a trajectory.
         dt: step length.
         count: number of arcs, each from a different trajectory.
-        steps: length of an arc; shorter arcs begin at evenly spread times, so that all phases of the motion
-            are covered. None for whole trajectories.
+        steps: length of an arc. Arcs shorter than their trajectory begin at evenly spaced times, so that all
+            phases of the motion are covered. None: full trajectories.
         seed: seed of initial errors and measurement noise.
         controls: (N, T + 1, m) controls of the trajectories; None without controls.
         linear: whether controls are interpolated linearly between samples.

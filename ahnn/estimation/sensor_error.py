@@ -91,13 +91,13 @@ class SensorError(NamedTuple):
         return augmented
 
     def process_noise(self, additive: Tensor, dt: float) -> Tensor:
-        """Return Q of one step of augmented states from that of the other components, (D, D) or (B, D, D)."""
+        """Return Q of one step of augmented states from Q of the other components, (D, D) or (B, D, D)."""
         both, size = pad(additive, (0, self.added, 0, self.added)), additive.shape[-1]
         both[..., size:, size:] = self._kick(dt).square().diag()
         return both
 
     def measurement(self, measurement: Measurement, sensor: str = "") -> Measurement:
-        """Return the measurement model of augmented states, from that of the other components."""
+        """Return the measurement model of augmented states from a model of the other components."""
         return Biased(measurement, self.mixing(len(measurement.names), sensor))
 
     def mixing(self, size: int, sensor: str = "") -> Tensor:

@@ -40,7 +40,7 @@ def make_setting(
         measurement_sd: standard deviations of its noise; None for the system's default, for positions.
         start_sd: standard deviations of the initial state (`state_deviations`); None for the system's
             default.
-        bias_sd: standard deviations of estimated measurement biases; None for no biases.
+        bias_sd: standard deviations of estimated measurement biases; None: no biases.
         bias_memory: time constants of the biases; None for constant biases.
         cadence: steps between two measurements.
         times: measurement times, as an alternative to a cadence.
@@ -85,8 +85,8 @@ def _try(measurement: Any, system: System, time: float) -> None:
     mass = getattr(measurement, "mass", system.inertia)
     if mass != system.inertia:
         message = (
-            f"measurement: expected {type(measurement).__name__} with mass={system.space.mass:g}, the "
-            f"mass of the system, whose momenta it reads; received mass={mass:g}"
+            f"measurement: expected {type(measurement).__name__} with mass={system.space.mass:g}, the mass "
+            f"of the system, whose momenta it reads; received mass={mass:g}"
         )
         raise UserError(message)
     expected = (1, len(measurement.names))
@@ -134,13 +134,13 @@ def near_system(truth: System | None, beside: System | None, space: Space) -> Sy
         UserError: neither or both systems are given, or the units of the second differ.
     """
     if beside is not None and (truth is not None or beside.units != space.units):
-        received = f"those of {space.name}" if truth is not None else str(space.units)
+        received = f"the equations of {space.name}" if truth is not None else str(space.units)
         message = f"beside: expected data without known equations, in {beside.units}; received {received}"
         raise UserError(message)
     if (system := truth or beside) is None:
         message = (
-            f"system: expected one whose equations are known; received data of {space.name}. "
-            "Use python -m ahnn.assimilate, which filters measurements without known equations"
+            f"system: expected a system with known equations; received data of {space.name}. Use python -m "
+            "ahnn.assimilate, which filters measurements without known equations"
         )
         raise UserError(message)
     return system

@@ -18,10 +18,10 @@ RANK = 1e-12
 
 
 def backward_law(joint: Tensor) -> tuple[Backward, Tensor | None]:
-    """Return the conditional distribution of the state before a step given that after it, (B, D, D).
+    """Return the distribution of the state before a step given the state after it, (B, D, D).
 
     The gain is G = C P⁻¹ with C the cross-covariance of the states before and after, P the predicted
-    covariance (Särkkä 2008, eq. 14); the conditional covariance is that of the smoother, P_k - G P Gᵀ, as a
+    covariance (Särkkä 2008, eq. 14); the smoother's conditional covariance is P_k - G P Gᵀ, as a
     factor. Where P is singular, G = C P⁺ with the pseudo-inverse of P scaled to unit variances.
 
     Args:
@@ -74,7 +74,7 @@ def _scaled(chol: Tensor) -> tuple[Tensor, Tensor]:
 def smoother(result: FilterResult) -> SmootherResult:
     """Compute the beliefs given all measurements, from a filter run with `smoothing=True`.
 
-    A member that failed at step k is smoothed over its steps before k, and NaN from there on.
+    A member that failed at step k is smoothed over its steps before k, and NaN after them.
 
     Raises:
         ValueError: the filter kept no backward kernels.
@@ -108,8 +108,8 @@ def stepped_back(before: Tensor, predicted: Tensor, law: Backward, after: Belief
 
     Args:
         before: (B, D) filtered mean before the step.
-        predicted: (B, D) mean after it, as it was predicted.
-        law: of the step, (B, D, D).
+        predicted: (B, D) predicted mean after it.
+        law: law of the step, (B, D, D).
         after: smoothed belief after it.
     """
     correction = law.gain @ (after.mean - predicted).unsqueeze(-1)

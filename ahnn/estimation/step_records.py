@@ -25,7 +25,7 @@ class StepRecord(NamedTuple):
 def collected(
     steps: list[StepRecord], before: MemberState, after: MemberState, measurements: Tensor
 ) -> FilterResult:
-    """Collect step records between two states into a result, NaN from the failed step of a member on."""
+    """Collect step records between two states into a result, NaN after the failure of a member."""
     present = ~torch.isnan(measurements)
     failed_step = torch.where(after.alive, -1, (after.failed_step - before.steps).clamp(min=0))
     valid = _valid(after, failed_step, len(steps))

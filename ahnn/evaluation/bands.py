@@ -24,7 +24,7 @@ SIGMAS = (1, 2, 3)
 NORMAL = tuple(math.erf(k / math.sqrt(2)) for k in SIGMAS)
 """Coverage of the bands for normal errors."""
 ROWS = 20_000
-"""Times of all trajectories whose errors are tested, about: neighbouring ones say the same."""
+"""Approximate number of tested errors over all trajectories: neighbouring errors are redundant."""
 
 
 class Band(NamedTuple):
@@ -33,9 +33,9 @@ class Band(NamedTuple):
     Attributes:
         deviations: (B, T, D) standard deviations.
         coverage: fractions of components of unseen states within 1, 2 and 3 standard deviations.
-        test: of their width, along the independent directions of the errors.
+        test: test of their width along the independent directions of the errors.
         expected: expected rms norms of position and velocity errors.
-        bound: expected errors from noise alone: the Cramer-Rao bound of the regularised parameters.
+        bound: expected errors from noise only: the Cramer-Rao bound of the regularised parameters.
         efficiency: rms norms of the errors in units of that bound.
         single: errors of the first trajectory at a quarter, half and all of its time, in standard deviations.
     """
@@ -52,9 +52,8 @@ class Band(NamedTuple):
         """Return the finding as a note under the table."""
         return (
             f"bands of 1, 2 and 3 standard deviations contain {percent(self.coverage)} % of unseen states "
-            f"({self.test.sentence()}); "
-            f"the error is {self.efficiency[0]:.2f} (position) and {self.efficiency[1]:.2f} "
-            f"({quantity(space, 'velocity')[0]}) times the noise bound"
+            f"({self.test.sentence()}); the error is {self.efficiency[0]:.2f} (position) and "
+            f"{self.efficiency[1]:.2f} ({quantity(space, 'velocity')[0]}) times the noise bound"
         )
 
     def verdict(self) -> str:

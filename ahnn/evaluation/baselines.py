@@ -47,7 +47,7 @@ class Worth(NamedTuple):
 
     @property
     def at_floor(self) -> bool:
-        """Whether the exact equations are no more accurate, nor a linear map: chaos, or a long step."""
+        """Whether neither the exact equations nor a linear map is more accurate: chaos, or a long step."""
         return self.floor is not None and self.model <= AT_FLOOR * self.floor and not self.below_linear
 
     @property

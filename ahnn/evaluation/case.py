@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Start = Literal["true", "perturbed", "fitted"]
-"""Starts of predictions: the true initial state, one perturbed by N(0, P0), or, for measurements alone,
-the one that fits them best.
+"""Starts of predictions: the true initial state, one perturbed by N(0, P0), or, if only measurements are
+known, the state that best fits them.
 """
 
 
@@ -37,26 +37,26 @@ class Case:
         label: name of the model in tables.
         assumes: prior knowledge of the dynamics assumed by the model.
         space: description of the state components.
-        truth: system with known equations, or None for no floors and energy errors.
+        truth: system with known equations; None: no floors or energy errors.
         flow: the learned flow.
         energy: the learned Hamiltonian, (..., D) -> (...), or None for a model without one.
         integrator: one-step method of the model and of its floor; None for a map.
         dt: sampling interval of the test trajectories, or (B, T - 1) individual steps.
-        test: whole trajectories of the test split.
-        validation: whole trajectories of the validation split.
-        train: whole trajectories of the training split.
-        perturbation: (B, D) initial errors of the perturbed start, the same for every model; None if P0 is
+        test: trajectories of the test split.
+        validation: trajectories of the validation split.
+        train: trajectories of the training split.
+        perturbation: (B, D) initial errors of the perturbed start, common to all models; None if P0 is
             unknown.
         folder: output folder.
         measured: measurements of the test trajectories, if training used measurements.
-        robust: robust loss of single residuals in the training.
-        learned_from: measurements of the training trajectories, from their first sample on.
+        robust: robust loss of the training.
+        learned_from: measurements of the training trajectories, with their first sample.
         uncertainty: covariance of the learned parameters, if available.
         novelty: distance (...) of states (..., D) from the training data, if available.
         fitted: (B, D) starts that best fit the measurements of the test trajectories, if no states are known;
             `test` then contains measurements, NaN where unmeasured.
-        noise: of the measurements, where the training estimated any.
-        remark: remark on the test trajectories; "" for those of the training.
+        noise: noise of the measurements, if estimated in training.
+        remark: remark on the test trajectories; "" if they belong to the training data.
         caveat: reason why the training cannot have made a good model; "" without one.
     """
 
@@ -101,7 +101,7 @@ class Case:
 
     @property
     def longest(self) -> float:
-        """Maximum step of the flow; for recorded measurements that of the training, possibly shorter."""
+        """Maximum step of the flow; for recorded measurements the step of the training, possibly shorter."""
         return math.inf if self.fitted is None or self.measured is None else self.measured.instrument.longest
 
     @cached_property
@@ -110,7 +110,7 @@ class Case:
         return None if self.truth is None else self.truth.energy(self.test.states)
 
     def score(self, prediction: Tensor, first: int = 0) -> Scores:
-        """Return the scores of predicted test trajectories, shape (B, T, D), from sample `first` on."""
+        """Return the scores of predicted test trajectories, shape (B, T, D), starting at sample `first`."""
         prediction, truth = prediction[:, first:], self.test.states[:, first:]
         energies = None
         if self.truth is not None and self.true_energy is not None:
@@ -125,7 +125,7 @@ class Who(NamedTuple):
         process: process model: `model`, or the name of a floor such as `exact field, rk4`.
         start: start of the prediction.
         estimator: estimator of measurements, such as `ukf`; None for a pure prediction.
-        span: `whole`, or `settled`: from the first update on.
+        span: `whole`, or `settled`: after the first update.
         floor: whether the row is a floor, computed with perfect knowledge.
     """
 
@@ -158,7 +158,7 @@ class Findings:
 
     Attributes:
         notes: findings without a row, attached to the first row of the evaluation.
-        faults: findings that ask for a remedy, for the verdict.
+        faults: findings that need a remedy, for the verdict.
         highlights: further findings for the verdict.
     """
 

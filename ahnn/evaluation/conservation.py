@@ -60,7 +60,7 @@ class Trend(NamedTuple):
         verb, remedy = ("lose", "forces=friction") if self.rate < 0 else ("gain", "forces=network")
         return (
             f"the data {verb} {in_percent(abs(self.rate))} of their energy {per}, which a Hamiltonian "
-            f"alone conserves: add {remedy}"
+            f"without forces conserves: add {remedy}"
         )
 
 
@@ -85,9 +85,8 @@ class TimeTest(NamedTuple):
         if not self.found:
             return ""
         return (
-            f"{in_percent(self.common)} of the model error is common to all trajectories at a given "
-            "time: a time-dependent force is missing from the model; add forces=forcing, or "
-            "forces=network with "
+            f"{in_percent(self.common)} of the model error is common to all trajectories at a given time: a "
+            "time-dependent force is missing from the model; add forces=forcing, or forces=network with "
             "model.forces.network.sees=[q,v,t]"
         )
 
@@ -171,7 +170,7 @@ def without_state(values: Tensor, states: Tensor) -> Tensor:
 
 
 def shared(values: Tensor) -> float:
-    """Return the fraction of the variance of values (B, T, C) that their mean over B explains, unbiased."""
+    """Return the fraction of the variance of values (B, T, C) explained by their mean over B, unbiased."""
     left = values - values.mean((0, 1))
     whole = left.square().mean((0, 1))
     inside = (left - left.mean(0)).square().sum(0).mean(0) / (len(values) - 1)

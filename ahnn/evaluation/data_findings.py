@@ -13,7 +13,7 @@ from ahnn.data.files.content import Content
 
 LEVELS = ("fault", "warning", "note")
 SHOWN = 5
-"""Maximum number of findings of a kind listed in the table; the others are counted."""
+"""Maximum number of findings of a kind listed in the table; more are counted."""
 
 
 def checkup(found: Examined) -> RenderableType:

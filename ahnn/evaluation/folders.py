@@ -52,7 +52,7 @@ def evaluation_folder(run: Path, name: str | None = None) -> Iterator[Path]:
 def require_unfinished(folder: Path) -> None:
     """Raise UserError for the folder of a finished evaluation, or a foreign folder."""
     if folder.is_symlink() or (folder / FILE).exists():
-        message = f"evaluation {folder.name}: expected a new name; received that of {folder}"
+        message = f"evaluation {folder.name}: expected a new name; received the name of {folder}"
         raise UserError(message)
     require_folder(folder, "evaluation", pictures_in(folder / "figures"), ("figures",))
 

@@ -32,13 +32,14 @@ class Forecast(NamedTuple):
     """Coverage of forecast bands.
 
     Attributes:
-        coverage: shares of the measured numbers ahead within 1, 2 and 3 standard deviations.
-        width: these standard deviations, rms, in those of the noise; near 1 little else was tested.
+        coverage: fractions of the forecast measurements within 1, 2 and 3 standard deviations.
+        width: rms of these standard deviations, relative to the noise; if close to 1, little but the noise
+            was tested.
         parameters: mean fraction of the variance of forecast states due to the parameters.
-        states: the same shares of the components of true states; None where these are not known.
+        states: fractions for the components of true states; None if these are unknown.
         right: range of the coverage of calibrated bands, the middle 95 % of draws.
-        lost: trajectories whose first half no start fits, which do not count in the others.
-        trajectories: how many were tried.
+        lost: number of trajectories whose first half no start fits; they are excluded from all other values.
+        trajectories: number of trajectories tried.
         outliers: fraction of the measured values that were excluded as outliers.
         single: errors of the last true state of the first trajectory, in standard deviations.
     """
@@ -57,7 +58,7 @@ class Forecast(NamedTuple):
         """Return the finding as a note under the table."""
         text = (
             f"forecasts of the second half of {self.trajectories - self.lost} unseen trajectories from the "
-            f"first: bands of 1, 2 and 3 standard deviations, rms {self.width:.3g} times those of the noise, "
+            f"first: bands of 1, 2 and 3 standard deviations, rms {self.width:.3g} times the noise, "
             f"contain {percent(self.coverage)} % of the measured values"
         )
         if self.states is not None:
@@ -184,27 +185,27 @@ class Variances(NamedTuple):
 
 
 def imagined(columns: int) -> Tensor:
-    """Return `DRAWS` draws of so many independent causes, in their standard deviations, (columns, DRAWS)."""
+    """Return `DRAWS` draws of independent causes, in their standard deviations, (columns, DRAWS)."""
     return torch.randn(columns, DRAWS, generator=torch.Generator().manual_seed(0))
 
 
 def held(off: Tensor, sd: Tensor) -> Tensor:
-    """Return how many of n errors (n, DRAWS), with deviations (n, 1), each draw has within bands, (3, DRAWS).
+    """Return the number of errors (n, DRAWS), with deviations (n, 1), within bands in each draw, (3, DRAWS).
 
-    Errors of one training are correlated: if nearly all lie along one direction, a calibrated band contains
-    nearly all of them or few.
+    Errors of one training run are correlated: if nearly all lie along one direction, a calibrated band
+    contains nearly all of them or few.
     """
     return torch.stack([(off.abs() <= k * sd).sum(0) for k in SIGMAS])
 
 
 def middle(shares: Tensor) -> tuple[tuple[float, float], ...]:
-    """Return the ends of the middle 95 % of shares (3, DRAWS)."""
+    """Return the ends of the middle 95 % of fractions (3, DRAWS)."""
     ends = torch.tensor([(1 - MIDDLE) / 2, (1 + MIDDLE) / 2], dtype=torch.float64)
     return tuple((float(low), float(high)) for low, high in torch.quantile(shares.double(), ends, dim=1).mT)
 
 
 def right_bands(shares: tuple[float, ...], right: tuple[tuple[float, float], ...]) -> str:
-    """Format the coverage of calibrated bands and the conclusion; where halves would do, nothing follows."""
+    """Format the coverage of calibrated bands and the verdict; none if bands of half the width would pass."""
     if right[1][0] <= NORMAL[0]:
         return "too few independent directions to tell"
     ends = ", ".join(f"{100 * low:.3g} to {100 * high:.3g}" for low, high in right)

@@ -33,7 +33,7 @@ class Explained(NamedTuple):
         band: 95 % interval for pure noise.
         correlation: serial correlation of residuals; 0 for pure noise.
         correlation_band: half-width of its 95 % interval about 0.
-        lost: number of trajectories that cannot be fitted, excluded from the others.
+        lost: number of trajectories that cannot be fitted, excluded from all other values.
         trajectories: number of trajectories tried.
         outliers: fraction of measured values excluded as outliers.
         halved_steps: chi-square of the field with halved steps; None without a field.
@@ -68,7 +68,7 @@ class Explained(NamedTuple):
         if self.halved_steps is not None and abs(self.halved_steps - self.chi_square) > (high - low) / 2:
             text += (
                 f"; with steps of half the length {self.halved_steps:#.4g} times: the integrator's error "
-                "is not negligible beside the noise; use one of higher order"
+                "is not negligible compared with the noise; use one of higher order"
             )
         return text + (
             f"; {self.lost} of {self.trajectories} trajectories not explained" if self.lost else ""
@@ -94,7 +94,7 @@ def fit_to(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") -
     Args:
         dynamics: float64 dynamics with a method `increment`.
         segment: measurements not used in training.
-        robust: robust loss of single residuals.
+        robust: robust loss of residuals.
     """
     steps = steps_between(segment.times, segment.instrument.longest)
     return fit_starts(trial_of(dynamics, robust), guess(segment), segment, steps), steps

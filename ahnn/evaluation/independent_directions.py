@@ -1,8 +1,8 @@
-"""Are bands as wide as errors? Errors of one training move together, and count along independent directions.
+"""Test whether bands are as wide as errors, along independent directions: errors of a run are correlated.
 
 With W the sensitivities of all states, in their standard deviations, to independent causes of variance 1,
-right bands mean errors W eta with eta ~ N(0, I). Along an eigenvector v of W^T W with the eigenvalue s^2 the
-errors e are z = v^T W^T e / s^2 ~ N(0, 1), independently: the sum of z^2 over k directions is chi-square.
+calibrated bands mean errors W eta with eta ~ N(0, I). Along an eigenvector v of W^T W with the eigenvalue s^2
+the errors e are z = v^T W^T e / s^2 ~ N(0, 1), independently: the sum of z^2 over k directions is chi-square.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from torch import Tensor
 from ahnn.numbers import chi_square_quantile
 
 VARIANCE = 0.99
-"""Part of the variance of the bands that the directions have together; the others are hardly seen in them."""
+"""Fraction of the variance of the bands due to these directions; the rest hardly affects the bands."""
 MIDDLE = 0.95
-"""Of trainings whose bands are right, this fraction is within the interval."""
+"""Fraction of training runs with calibrated bands that lie within the interval."""
 HALF = 0.5
-"""An interval that admits bands of half or of twice the right width is no check."""
+"""An interval that admits bands of half or twice the correct width is no test."""
 
 
 class DirectionTest(NamedTuple):
     """Errors along the independent directions of bands.
 
     Attributes:
-        directions: k, how many.
+        directions: number k of directions.
         scatter: rms of the errors along them, in standard deviations.
     """
 
@@ -36,7 +36,7 @@ class DirectionTest(NamedTuple):
 
     @property
     def right(self) -> tuple[float, float]:
-        """Interval of the scatter in the middle 95 % of trainings whose bands are right."""
+        """Interval of the scatter in the middle 95 % of training runs with calibrated bands."""
         low, high = (chi_square_quantile((1 + sign * MIDDLE) / 2, self.directions) for sign in (-1, 1))
         return (low / self.directions) ** 0.5, (high / self.directions) ** 0.5
 
@@ -56,7 +56,10 @@ class DirectionTest(NamedTuple):
         found = f"errors along {self.directions} independent directions are {self.scatter:.2f} deviations"
         if self.verdict.startswith("too few"):
             return f"{found}: {self.verdict}"
-        return f"{found}, with calibrated bands {low:.2f} to {high:.2f} in 19 of 20 trainings: {self.verdict}"
+        return (
+            f"{found}, with calibrated bands {low:.2f} to {high:.2f} in 19 of 20 training runs: "
+            f"{self.verdict}"
+        )
 
     def numbers(self) -> dict[str, object]:
         """Return plain values for metrics.json."""
@@ -76,7 +79,7 @@ def direction_test(parts: Iterable[tuple[Tensor, Tensor]]) -> DirectionTest:
 
 
 def together(tests: Sequence[DirectionTest]) -> DirectionTest:
-    """Return one test of several trainings that are independent of each other."""
+    """Return one test of several independent training runs."""
     count = sum(test.directions for test in tests)
     squares = sum(test.directions * test.scatter**2 for test in tests)
     return DirectionTest(count, (squares / count) ** 0.5)

@@ -48,7 +48,7 @@ def make_case(
         folder: output folder.
         uncertainty: covariance of the parameters, if available.
         domain: representative training states, if available.
-        robust: robust loss of single residuals in the training.
+        robust: robust loss of the training.
         noise: measurement noise from the metadata of the weights, if the training estimated it.
         remark: remark on the data, for the table.
         caveat: reason why the training cannot have made a good model.
@@ -99,14 +99,14 @@ def as_test(measured: Segment) -> Trajectories:
 
 
 def measured_test(data: SplitData, noise: NoiseEstimate | None) -> Segment | None:
-    """Return the measurements of whole test trajectories; None if states are known."""
+    """Return the measurements of the test trajectories; None if states are known."""
     if data.sensor is None:
         return None
     return whole(data.measured("test"), instrument_of(data, noise))
 
 
 def instrument_of(data: SplitData, noise: NoiseEstimate | None) -> Instrument:
-    """Return what measured, with the noise that a training found; raises as `NoiseEstimate.applied`."""
+    """Return the instrument, with the noise estimated in training; raises as `NoiseEstimate.applied` does."""
     assert data.sensor is not None
     found = data.instrument()
     return found if noise is None else noise.applied(found, data.sensor.unknown)

@@ -67,7 +67,7 @@ def open_loop(case: Case) -> Findings:
     """Roll out the model and the floors from every start of a case."""
     findings = Findings()
     samples, starts, there = case.test.states.shape[1], case.starts(), floors(case)
-    # All starts in one batch: for small models a step costs the same for twice as many states.
+    # All starts in one batch: for small models, a step on twice as many states costs no more.
     together = torch.cat(list(starts.values()))
     text = described(Who(MODEL, case.start), case.label)
     dt = case.dt.repeat(len(starts), 1) if isinstance(case.dt, Tensor) else case.dt

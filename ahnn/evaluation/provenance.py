@@ -14,7 +14,7 @@ from typing import Any
 import torch
 
 PASSWORD = re.compile(r"://[^@/\s]*@")
-"""Pattern of user and password in an address, such as that of a database."""
+"""Pattern of user and password in an address, for example of a database."""
 
 
 def provenance() -> dict[str, Any]:

@@ -1,7 +1,8 @@
-"""Simulation-based calibration: over draws of truth and data, ranks of the truth in right bands are uniform.
+"""Simulation-based calibration: over draws of truth and data, ranks in calibrated bands are uniform.
 
 The rank of a true number among infinitely many draws of a band is Phi(error / sd) (Cook, Gelman & Rubin 2006,
-J. Comput. Graph. Stat. 15, 675-692). Ranks of one training depend on each other: a test takes one of each.
+J. Comput. Graph. Stat. 15, 675-692). Ranks of one training run are dependent: a test uses one rank of each
+run.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ from ahnn.evaluation.independent_directions import DirectionTest, together
 
 TIMES = ("a quarter", "half", "the end")
 REFUSED = 0.05
-"""Probability, over all tests together, of refusing right bands."""
+"""Probability of rejecting calibrated bands, over all tests together."""
 DRAWS = 20
-"""Fewer say nothing of ranks that are not refused."""
+"""With fewer draws, ranks that pass the test mean little."""
 Score = Mapping[str, Mapping[str, Any]]
 """Numbers `uncertainty` and `forecast` of metrics.json."""
 
@@ -40,7 +41,7 @@ def ranks(scores: Sequence[Score]) -> dict[str, list[float]]:
 
 
 def uniformity(values: Sequence[float]) -> float:
-    """Return the probability of sorted ranks as far from uniform or farther, by Kolmogorov and Smirnov."""
+    """Return the p-value of sorted ranks by the Kolmogorov-Smirnov test of uniformity."""
     from scipy.stats import kstest
 
     return float(kstest(values, "uniform").pvalue)
@@ -68,7 +69,7 @@ def rank_table(scores: Sequence[Score]) -> str:
 
 
 def rank_figure(scores: Sequence[Score]) -> Figure:
-    """Draw the fraction of ranks below each value, less that value, and where uniform ones are in 95 %."""
+    """Draw the fraction of ranks below each value, minus that value, and the 95 % band of uniform ranks."""
     figure = style.canvas(7, 4)
     axes = figure.subplots()
     every = ranks(scores)

@@ -22,7 +22,7 @@ are uncorrelated, for example a quarter of a period apart.
 COLOURED, BIASED = 0.15, 0.2
 """Minimum reported neighbour correlation, and constant offset in standard deviations."""
 OFF = 1.4
-"""Minimum reported factor between data.noise and the actual noise: bands are off by the same factor."""
+"""Minimum reported factor between data.noise and the actual noise: bands are wrong by the same factor."""
 FEW = 1e-3
 """Minimum reported fraction of outliers; for normal values it is 6e-5."""
 
@@ -52,7 +52,7 @@ def remedy(dynamics: nn.Module, segment: Segment, robust: RobustName) -> str:
 
 
 def invisible(dynamics: nn.Module, segment: Segment, noise: NoiseEstimate | None = None) -> str:
-    """Return that a bias of all readings would not show, "" where it would or where it was estimated."""
+    """Return a remark that a bias of all readings would go unnoticed; "" if it shows or was estimated."""
     direct = isinstance(segment.instrument.measurement, (Position, State))
     if not direct or getattr(dynamics, "anchored", True) or (noise is not None and noise.bias):
         return ""

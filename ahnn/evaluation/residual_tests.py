@@ -1,8 +1,8 @@
 """Tests of residuals for deviations from white noise: bias, colour, outliers, level, wrong dynamics.
 
 Residuals of paths fitted to individual trajectories contain noise and model errors. Cross-validation over
-trajectories separates them: noise is independent between trajectories, while model errors are the same
-function of the state.
+trajectories separates them: noise is independent between trajectories, while model errors are one function of
+the state.
 """
 
 from __future__ import annotations
@@ -31,8 +31,9 @@ class ResidualTests(NamedTuple):
         pairs: (M,) number of neighbour pairs.
         bias: (M,) mean over trajectories of their means.
         bias_error: (M,) its standard error, from the scatter of trajectories.
-        spread: (M,) standard deviation of constant offsets of trajectories, noise contribution subtracted.
-        spread_ratio: (M,) variance of the means of trajectories over that of means of the noise.
+        spread: (M,) standard deviation of constant offsets of trajectories, minus the contribution of noise.
+        spread_ratio: (M,) variance of the means of trajectories, divided by the variance of means of the
+            noise.
         tails: (M,) fraction of values beyond four robust standard deviations.
         trajectories: number of trajectories.
     """

@@ -145,11 +145,11 @@ def _explanations(results: Results) -> Iterator[str]:
         yield from _wrapped(f"floor: score of perfect knowledge ({'; '.join(floors)}).")
     if any(row.who.start == "fitted" for row in results.rows):
         yield from _wrapped(
-            "fitted start: initial state that best fits the measurements; errors are differences from "
-            "the measurements and include their noise."
+            "fitted start: initial state that best fits the measurements; errors are differences from the "
+            "measurements and include their noise."
         )
     if any(row.who.span == "settled" for row in results.rows):
-        yield from _wrapped("settled: scores from the first update on.")
+        yield from _wrapped("settled: scores after the first update.")
 
 
 def _details(row: Row, results: Results) -> str:
@@ -162,8 +162,7 @@ def _details(row: Row, results: Results) -> str:
     components = ", ".join(f"{name} {number(value)}" for name, value in parts)
     return (
         f"{described(row.who, results.label)}: pooled {position} {number(row.scores.position_pooled)} "
-        f"{where}, pooled {velocity} {number(row.scores.velocity_pooled)} {how_fast}; "
-        f"components {components}"
+        f"{where}, pooled {velocity} {number(row.scores.velocity_pooled)} {how_fast}; components {components}"
     )
 
 

@@ -66,7 +66,7 @@ def seeds_table(runs: list[Results]) -> Iterator[str]:
 def scores(
     runs: list[Results], estimator: str | None, start: str, quantity: str, *, floor: bool = False
 ) -> list[float]:
-    """Return a score of each run, of its model or floor, over whole trajectories."""
+    """Return a score of each run, of its model or floor, over full trajectories."""
     return [
         getattr(row.scores, quantity)
         for run in runs

@@ -1,6 +1,6 @@
 """Figure style: colour-blind safe colours, time and error axes, legends.
 
-The colours are those of Okabe & Ito (2008); line styles differ too, for print without colour.
+The colours are from Okabe & Ito (2008); line styles differ too, for print without colour.
 """
 
 from __future__ import annotations
@@ -127,12 +127,12 @@ def legend_below(figure: Figure, *panels: Any) -> None:
 
 
 def logarithmic(axes: Any, first: int, others: Iterable[Any] = ()) -> None:
-    """Make the vertical axis logarithmic, scaled to the curves from their entry `first` on.
+    """Make the vertical axis logarithmic, scaled to the curves after their entry `first`.
 
     Args:
         axes: axes with lines.
         first: first entry considered in the scaling: errors from a true start begin at zero.
-        others: further axes with the same scale.
+        others: further axes that share the scale.
     """
     curves = [line for each in (axes, *others) for line in each.get_lines()]
     series = [torch.as_tensor(line.get_ydata()).double() for line in curves]
@@ -142,7 +142,7 @@ def logarithmic(axes: Any, first: int, others: Iterable[Any] = ()) -> None:
     if not len(values):
         return
     low, high = float(values.min()) / 1.3, float(values.max()) * 1.3
-    axes.set_ylim(low, min(high, low * 1e18))  # so that a lost prediction does not flatten the others
+    axes.set_ylim(low, min(high, low * 1e18))  # so that a lost prediction does not flatten all other curves
     axes.set_yscale("log")
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 30 * low else (1.0,)))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -41,7 +41,7 @@ def metric_name(who: Who, quantity: str) -> str:
     """Return the name of a score in TensorBoard, free of the model's label so that runs compare.
 
     The default case is the shortest: `score/position` is the score of the model from the true start without
-    measurements, `score/position/ukf/perturbed/settled` that of a filter.
+    measurements, `score/position/ukf/perturbed/settled` the score of a filter.
     """
     process = None if who.process == MODEL else who.process.replace(", ", "_").replace(" ", "_")
     start = None if who.start == "true" else who.start

@@ -38,7 +38,7 @@ def open_loop_figures(case: Case, arrays: dict[str, Tensor]) -> dict[str, Figure
 
     Args:
         case: evaluated case.
-        arrays: predictions (B, T, D) named as by `open_loop`.
+        arrays: predictions (B, T, D) with the names of `open_loop`.
     """
     curves = list(_curves(case, arrays))
     figures = {"error": error(case, curves)}

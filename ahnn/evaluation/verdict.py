@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from ahnn.evaluation.baselines import Worth
 
 LINES = 5
-"""Findings of a verdict, at most; the others are in the notes."""
+"""Maximum number of findings in a verdict; more are in the notes."""
 GRADES = {"good": 0.01, "fair": 0.1}
-"""Largest relative errors of a grade, where no noise of measurements is part of them."""
+"""Maximum relative errors of a grade, without measurement noise."""
 
 
 BELOW = ("worse than a linear map",)
 ADVICE = "Train longer, or use another model"
-"""Remedy of a worthless model where no finding has a specific one."""
+"""Default remedy for a worthless model."""
 
 
 def verdict(
@@ -23,8 +23,8 @@ def verdict(
     """Return the findings that decide whether a model is of use.
 
     Args:
-        worth: of its prediction.
-        faults: findings that ask for a remedy, the most severe first.
+        worth: value of its prediction.
+        faults: findings that need a remedy, the most severe first.
         others: findings on its standard deviations, and of plugins.
         noisy: whether the error includes the noise of measurements, which is no fault of the model.
         caveat: reason why the training cannot have made a good model; "" without one.

@@ -40,7 +40,7 @@ class GaussLegendre4(Integrator):
         """Return the increment of one step, shape (..., D).
 
         Converged members are frozen, so that results are independent of other members. A non-finite member
-        stays non-finite and does not delay the others.
+        stays non-finite and does not delay the rest.
 
         Raises:
             UserError: the iteration did not converge within `max_iterations`.

@@ -87,7 +87,7 @@ def require_places(options: AssimilationRequest) -> None:
     """Raise UserError for occupied paths of output, state, figures and message."""
     require_together(options)
     if options.output == "-" and (options.figures or options.oem):
-        message = "output: expected a FILE, of which figures and oem are made; received -"
+        message = "output: expected a FILE for figures and oem, which are made from it; received -"
         raise UserError(message)
     if options.state is None or not Path(options.state).exists():
         require_new(options.output)
@@ -105,11 +105,11 @@ def require_places(options: AssimilationRequest) -> None:
 
 
 def require_together(options: AssimilationRequest) -> None:
-    """Raise UserError for options of single-object streams combined with those of many objects."""
+    """Raise UserError for options of single-object streams combined with options for many objects."""
     if options.objects is None:
         for key in ("states", "shard"):
             if (value := getattr(options, key)) is not None:
-                message = f"{key}: expected objects=COLUMN with it; received {key}={value} alone"
+                message = f"{key}: expected {key}={value} with objects=COLUMN; received no objects"
                 raise UserError(message)
         return
     one = {key: getattr(options, key) for key in ("figures", "oem", "object", "controls", "lag")}

@@ -27,7 +27,7 @@ def check(paths: Sequence[Path], figures: Path | None, options: dict[str, Any]) 
         options: mass, gap, and reading options.
 
     Raises:
-        UserError: a defect that would spoil a training, or tracking data that cannot be read.
+        UserError: a defect that would spoil the training, or tracking data that cannot be read.
     """
     if figures is not None:
         require_writable(figures)
@@ -47,7 +47,7 @@ def check(paths: Sequence[Path], figures: Path | None, options: dict[str, Any]) 
         faults += len(found.faults)
     if faults:
         what = "1 fault that would" if faults == 1 else f"{faults} faults that would"
-        purpose = "spoil an orbit determination" if not others else "spoil a training"
+        purpose = "spoil an orbit determination" if not others else "spoil the training"
         message = f"check: expected valid data; received {what} {purpose}"
         raise UserError(message)
 

@@ -1,4 +1,4 @@
-"""Closing stage of a training: final steps on measurements, saved results, and evaluation."""
+"""Closing stage of training: final steps on measurements, saved results, and evaluation."""
 
 from __future__ import annotations
 
@@ -73,7 +73,8 @@ def _conclude(prepared: Prepared, best: Path, steps: int) -> None:
         about["val_loss"] = float(Shooting(None, robust).validation(learned, batch)["loss"])
         if len(states := fitted_states(dynamics, train, robust)) > 1:
             about["domain"] = find_domain(dynamics, states).about()
-        save_uncertainty(folder, found, as_stored(dynamics.state_dict(), best))  # before the weights say so
+        # before the weights refer to it
+        save_uncertainty(folder, found, as_stored(dynamics.state_dict(), best))
     replace_weights(best, {} if found is None else dynamics.state_dict(), about)
 
 
@@ -81,7 +82,7 @@ def judge(prepared: Prepared, seconds: float) -> float:
     """Evaluate the best weights of a run, write and show the results, and return the validation loss.
 
     Args:
-        prepared: prepared training.
+        prepared: prepared training run.
         seconds: duration of its steps.
     """
     folder, data, trainer, plan = prepared.folder, prepared.data, prepared.trainer, prepared.assessment

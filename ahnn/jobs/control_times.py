@@ -25,7 +25,7 @@ class Moments(NamedTuple):
     """Time steps of a prediction, such that no step crosses a jump of a control.
 
     Attributes:
-        times: (T,) times of the forces, including those of the prediction.
+        times: (T,) times of the forces, including the times of the prediction.
         chosen: (K,) indices of the prediction's times.
         controls: controls at the times; None without controls.
     """
@@ -41,7 +41,7 @@ def moments_of(given: Controls, begin: Starts, times: Tensor, run: Run) -> Momen
     Args:
         given: controls from the user.
         begin: starts of the prediction.
-        times: (K,) output times, from the start on.
+        times: (K,) output times, the first at the start.
         run: a trained model.
 
     Raises:

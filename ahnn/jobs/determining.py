@@ -147,7 +147,7 @@ def without_learned(problem: OrbitProblem, ready: PreparedOrbit) -> OrbitProblem
 
 
 def unseen_lines(ready: PreparedOrbit, fraction: float) -> list[str]:
-    """Fit all but the last measurements, and report the prediction of the others."""
+    """Fit all but the last measurements, and report their prediction."""
     times = ready.problem.model.data.times
     used = np.arange(len(times)) < round((1 - fraction) * len(times))
     part = replace(ready.problem, used=used)
@@ -165,7 +165,7 @@ def unseen_lines(ready: PreparedOrbit, fraction: float) -> list[str]:
 
 
 def compared(ready: PreparedOrbit, arc: SatelliteArc, path: Path) -> list[str]:
-    """Return how far an orbit is from that of a prediction (CPF), where both are known.
+    """Return the distance of an orbit from a prediction (CPF), where both are known.
 
     Raises:
         UserError: another format, or no common time span.

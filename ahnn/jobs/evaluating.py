@@ -1,4 +1,4 @@
-"""Re-evaluation of a finished run in a separate folder, without building a training."""
+"""Re-evaluation of a finished run in a separate folder, without building a training run."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def evaluate(asked: Reevaluation) -> None:
 
 
 def robust_of(run: Run) -> RobustName:
-    """Return the robust loss of a training from the metadata of its weights.
+    """Return the robust loss of a run from the metadata of its weights.
 
     Raises:
         UserError: unknown loss.

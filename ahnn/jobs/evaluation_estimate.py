@@ -1,4 +1,4 @@
-"""Runtime estimate of the evaluation after a training, from a few steps of its flows."""
+"""Runtime estimate of the evaluation after training, from a few steps of its flows."""
 
 from __future__ import annotations
 

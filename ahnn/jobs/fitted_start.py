@@ -1,4 +1,4 @@
-"""Start of an assimilation that is fitted to its first measurements, with the flow that was learned."""
+"""Start of an assimilation, fitted to its first measurements with the learned flow."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ from ahnn.uncertainty import forecast_columns
 log = logging.getLogger("ahnn")
 
 TAKEN = 20
-"""Number of measurements that are fitted unless the user says another."""
+"""Default number of fitted measurements."""
 TRIED = 32
 """Number of training states from which a fit is tried."""
 ITERATIONS = 30
-"""Largest number of iterations from the best of them."""
+"""Maximum number of iterations from the best of them."""
 MOST = 0.2
-"""Largest number of outliers, as a fraction of the others."""
+"""Maximum number of outliers, as a fraction of all other measurements."""
 UNSEEN = 1e-7
 """Ratio of the least to the largest singular value of measurements below which a direction is unseen."""
 
@@ -83,14 +83,14 @@ def fitted_start(
 ) -> FittedStart:
     """Fit a state to the first measurements of a file by robust least squares.
 
-    Its covariance is that of noise, learned parameters and biases of sensors, times chi-square
-    per degree of freedom where that exceeds 1.
+    Its covariance includes noise, learned parameters and biases of sensors, times chi-square per degree of
+    freedom if that exceeds 1.
 
     Args:
         run: a trained model.
-        sensors: of the stream.
-        file: of the measurements.
-        clock: of their times.
+        sensors: sensors of the stream.
+        file: path of the measurements.
+        clock: interpretation of their times.
         wanted: number of measurements, or fraction below 1; None for `TAKEN`.
 
     Raises:
@@ -180,7 +180,7 @@ def segment_of(
 ) -> tuple[Segment, Tensor]:
     """Return readings side by side as one segment, and the standard deviations of the biases in it, (M,).
 
-    Each sensor, and each standard deviation of its own that a reading has, is a group of columns.
+    Each sensor, and each standard deviation in a reading, is a group of columns.
     """
     groups = {(one.sensor, one.deviations): [] for one in readings}
     times = sorted({one.time for one in readings})
@@ -248,8 +248,8 @@ def covariance_of(run: Run, best: BestFit, bias_sd: Tensor) -> Tensor:
     if not bool((scale > 0).all()) or values[-1] < UNSEEN * values[0]:
         message = (
             f"start: expected measurements that determine {len(scale)} components; received "
-            f"{int(segment.measured)} numbers, which leave some undetermined. Fit more, fitted=N, or "
-            f"give start="
+            f"{int(segment.measured)} numbers, which leave some undetermined. Fit more, fitted=N, or give "
+            "start="
         )
         raise UserError(message)
     count = sum(parameter.numel() for parameter in run.dynamics.parameters())

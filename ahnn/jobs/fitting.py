@@ -1,4 +1,4 @@
-"""Fit of a prepared training: calibration, announcements, and Lightning's loop."""
+"""Fit of a prepared training run: calibration, announcements, and Lightning's loop."""
 
 from __future__ import annotations
 

@@ -23,9 +23,9 @@ class FollowedMeasurements:
     """Measurements of a satellite as lines of a stream; notified of each accepted one.
 
     Attributes:
-        data: all, those that were fitted before among them.
-        rows: which are followed, (N,) bool.
-        names: of all that is estimated.
+        data: all measurements, including the fitted ones.
+        rows: mask of the measurements followed, (N,) bool.
+        names: names of all estimated components.
         beside: function of a time that returns further estimates to report at the end.
         told: times, innovations and their standard deviations, by station and kind.
     """

@@ -39,11 +39,11 @@ from ahnn.types import Space, Units
 log = logging.getLogger("ahnn")
 
 SPACE = Space("orbit", ("x", "y", "z", "px", "py", "pz"), Units("s", "km", "km/s", "km²/s²"))
-"""Of the states; velocities are momenta of the mass 1, so that tracks are starts of learned models."""
+"""Space of the states; velocities are momenta of mass 1, so that tracks are starts of learned models."""
 LONGEST = 3600.0
-"""Longest step of the filter, s; the flow chooses its own within it."""
+"""Longest step of the filter, s; the flow takes shorter steps."""
 MINUTE = 60.0
-"""Over which a given process noise adds up, s."""
+"""Time in which a given process noise is added, s."""
 Mask = NDArray[np.bool_]
 
 
@@ -51,11 +51,11 @@ class OrbitFollowing(NamedTuple):
     """Parts of an online orbit determination.
 
     Attributes:
-        setup: of the determination.
-        folder: that the names of its files start from.
-        estimator: that follows.
-        noise: standard deviations [position, velocity] that a minute adds, km and km/s.
-        other: file of the measurements that are followed; None follows those of the setup.
+        setup: setup of the determination.
+        folder: folder from which the names of its files start.
+        estimator: estimator that follows.
+        noise: standard deviations [position, velocity] added per minute, km and km/s.
+        other: file of the measurements that are followed; None: the measurements of the setup.
     """
 
     setup: OrbitSetup
@@ -139,7 +139,7 @@ def sensors_of(
 def fitted_start(
     asked: AssimilationRequest, orbit: OrbitFollowing
 ) -> tuple[PreparedOrbit, OrbitBelief, Mask]:
-    """Fit the first measurements; return the problem, the belief at the last of them, and the others.
+    """Fit the first measurements; return the problem, the belief at the last one, and the rest of them.
 
     Raises:
         UserError: the number to fit is not given.
@@ -160,21 +160,21 @@ def fitted_start(
 
 
 def fitted_count(wanted: float | None, held_out: float, count: int, *, whole: bool) -> int:
-    """Return how many of so many measurements are fitted.
+    """Return the number of measurements to fit.
 
     Args:
-        wanted: number, or fraction below 1; None for all that are not held out.
-        held_out: fraction.
-        count: of all.
-        whole: whether all of them may be.
+        wanted: number, or fraction below 1; None: all that are not held out.
+        held_out: fraction held out.
+        count: number of all measurements.
+        whole: whether all of them may be fitted.
 
     Raises:
         UserError: the number is undetermined.
     """
     if wanted is None and not (held_out or whole):
         message = (
-            "fitted: expected the number or fraction of measurements to fit before the others are "
-            "filtered; received none, and no orbit.held_out"
+            "fitted: expected the number or fraction of measurements to fit before the rest are filtered; "
+            "received none, and no orbit.held_out"
         )
         raise UserError(message)
     chosen = 1 - held_out * (not whole) if wanted is None else wanted
@@ -185,7 +185,7 @@ def given_start(asked: AssimilationRequest, orbit: OrbitFollowing) -> tuple[Prep
     """Return the problem with a given start, the belief there, and all measurements.
 
     Raises:
-        UserError: no start with its covariance, or an unknown of which nothing is known.
+        UserError: no start with its covariance, or an unknown without prior.
     """
     setup = orbit.setup
     if orbit.other is not None:
@@ -207,9 +207,10 @@ def given_start(asked: AssimilationRequest, orbit: OrbitFollowing) -> tuple[Prep
 
 
 def no_carry(states: Tensor, times: Tensor, covariances: Tensor) -> Tensor:
-    """Refuse the covariance of an earlier state."""
+    """Raise UserError for the covariance of an earlier state."""
     del states, times, covariances
     message = (
-        "start: expected the covariance of its last state; received that of an earlier one. Add start_sd="
+        "start: expected the covariance of its last state; received the covariance of an earlier state. Add "
+        "start_sd="
     )
     raise UserError(message)

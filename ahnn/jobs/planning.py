@@ -58,8 +58,8 @@ class PlannedSensor(NamedTuple):
     """A sensor that can measure.
 
     Attributes:
-        name: of the station, or `fix`.
-        model: (x (D,), t) -> its M values.
+        name: name of the station, or `fix`.
+        model: map (x (D,), t) -> M values.
         deviations, bias_sd: (M,) standard deviations of their noise and of their constant biases.
         joined: whether measurements without a gap belong to one session, a pass.
     """
@@ -75,7 +75,7 @@ class Candidate(NamedTuple):
     """Measurements that are chosen together.
 
     Attributes:
-        name: of the instrument.
+        name: name of the instrument.
         samples: (K,) indices of their times.
         rows: (K M, R) derivative by the unknowns, over the standard deviations.
     """
@@ -86,7 +86,7 @@ class Candidate(NamedTuple):
 
 
 def plan(asked: PlanRequest) -> None:
-    """Choose measurements, show the plan beside one of equal spacing, and write it if asked.
+    """Choose measurements, compare the plan with equal spacing, and write it if requested.
 
     Raises:
         UserError: a missing run, invalid starts, stations or durations, or nothing to choose from.
@@ -144,7 +144,7 @@ def line(text: str, value: str) -> str:
 
 
 def stations_of(file: str, begin: Starts, run: Run) -> list[PlannedSensor]:
-    """Return the stations of a file, on an Earth that turns from the epoch of time zero on."""
+    """Return the stations of a file, on an Earth that turns from the epoch of time zero."""
     if begin.reference.epoch is None:
         log.warning("epoch: not given; the Greenwich meridian is assumed on the x axis at time zero")
     made, angle = [], earth_axes(begin.reference)
@@ -156,7 +156,7 @@ def stations_of(file: str, begin: Starts, run: Run) -> list[PlannedSensor]:
 
 
 def fixes(sd: list[float] | float | None, run: Run) -> list[PlannedSensor]:
-    """Return a sensor of the position, each fix a session of its own.
+    """Return a sensor of the position, each fix a separate session.
 
     Raises:
         UserError: no standard deviations.
@@ -175,11 +175,11 @@ def candidates(
     """Return the sessions of instruments in the order of time.
 
     Args:
-        instruments: of what could be measured.
+        instruments: instruments of possible measurements.
         states: (T, D) predicted states.
-        factors: (T, D, R) of their covariances.
+        factors: (T, D, R) factors of their covariances.
         times: (T,).
-        most: greatest number of times in a session of a station.
+        most: maximum number of times in a session of a station.
     """
     biased = sum(int((one.bias_sd > 0).sum()) for one in instruments)
     found, used = [], 0
@@ -198,7 +198,7 @@ def candidates(
 
 
 def passes(seen: Tensor) -> list[Tensor]:
-    """Return the indices of each run of neighbouring samples (T,) that are seen."""
+    """Return the indices of each run of consecutive visible samples (T,)."""
     samples = seen.nonzero().flatten()
     gaps = (samples.diff() > 1).nonzero().flatten() + 1
     return [part for part in samples.tensor_split(gaps) if len(part)]
@@ -217,7 +217,7 @@ def row_of(one: Candidate, times: Tensor, begin: Starts, clock: str) -> tuple[st
 
 
 def beside(rows: list[Tensor], forecast: Tensor, count: int, reached: float) -> list[str]:
-    """Compare a plan with sessions at equal spacing in time: as many, and the number that is as good."""
+    """Compare a plan with equally spaced sessions: the same number, and the number of equal precision."""
     lines = []
     for more in range(count, len(rows) + 1):
         equal = [rows[k] for k in evenly_spaced(len(rows), more)]

@@ -1,4 +1,4 @@
-"""Prepared training: one value with all inputs of training and evaluation."""
+"""Prepared training run: one value with all inputs of training and evaluation."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Assessment(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Prepared:
-    """Training with compatible parts, before anything is generated or written.
+    """Training run with compatible parts, before anything is generated or written.
 
     Attributes:
         label: name in tables.
@@ -45,10 +45,10 @@ class Prepared:
         data: source, splits, sensor, and batch sampling.
         model: dynamics, objectives, optimiser and scheduler, and checkpoint metadata.
         trainer: epochs, devices, callbacks, loggers.
-        checkpoint: checkpoint to resume from; None for a new training.
+        checkpoint: checkpoint to resume from; None for a new run.
         weights: run or shipped model that provides initial weights.
         recorded: whether optimiser steps on a GPU may be recorded as CUDA graphs.
-        robust: robust loss of single measurement residuals.
+        robust: robust loss of measurement residuals.
         assessment: evaluation options of the trained model.
     """
 

@@ -62,7 +62,7 @@ def _days(path: Path) -> tuple[str, str]:
     last = found.mjd[found.final][-1] if found.final.any() else float("nan")
     ends = f"MJD {found.mjd[0]:.0f} to {found.mjd[-1]:.0f}, final until {last:.0f}"
     holds = f"polar motion and UT1 - UTC of {len(found.mjd)} days, {ends}"
-    return holds, "standard deviations, sections from 2 on"
+    return holds, "standard deviations, sections after the first"
 
 
 def _table(path: Path, data: TrackingData, series: list[SeriesSurvey]) -> RenderableType:

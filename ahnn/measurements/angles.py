@@ -25,7 +25,7 @@ class HasResidual(Protocol):
 
 
 def periods(measurement: Measurement) -> tuple[float, ...]:
-    """Return the period of each component that is an angle, inf for the others.
+    """Return the period of each component that is an angle, inf for all other components.
 
     Raises:
         ValueError: declared periods that are not M positive numbers.

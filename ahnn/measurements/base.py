@@ -16,8 +16,8 @@ class Measurement(Protocol):
 
     Attributes:
         names: names of the M components.
-        units: units of the M components. Those in rad or deg are angles, unless the model declares `periods`
-            of the M components, inf for a non-periodic one, such as a turn counter.
+        units: units of the M components. Components in rad or deg are angles, unless the model declares
+            `periods` of the M components, inf for a non-periodic one, such as a turn counter.
     """
 
     @property
@@ -49,7 +49,7 @@ class Locating(Protocol):
     """Measurement model from which positions can be estimated, as initial values of fits."""
 
     def locate(self, y: Tensor, t: Time) -> Tensor:
-        """Return the positions (..., n), or the whole states (..., 2n), that produce y (..., M) at time t."""
+        """Return the positions (..., n), or the full states (..., 2n), that produce y (..., M) at time t."""
         ...
 
 

@@ -36,7 +36,7 @@ class Biases(NamedTuple):
             measurement: measurement model with M components.
             deviations: common number, one per component, or as in `noise_deviations`; 0 for no bias; None for
                 no biases.
-            memory: time constants, in the same form; None for constant biases.
+            memory: time constants, in the same format; None: constant biases.
             who: prefix of keys in messages.
 
         Raises:
@@ -45,7 +45,7 @@ class Biases(NamedTuple):
         names = measurement.names
         if deviations is None:
             if memory is not None:
-                message = f"{who}bias_memory: expected {who}bias_sd with it; received {memory} alone"
+                message = f"{who}bias_memory: expected {who}bias_sd with {memory}; received none"
                 raise UserError(message)
             return None
         sds = for_each_component(measurement, numbers_of(deviations))

@@ -4,7 +4,7 @@ The noise of a component, in its standard deviations, is w + c: white noise of v
 Gauss-Markov noise of variance f, which correlates by exp(-t / memory) (Tapley, Schutz & Born 2004, section
 4.9). Filters estimate c as additional states (`ahnn.estimation.sensor_error`). A scalar Kalman filter of c in
 each row makes white residuals of coloured ones: innovations over their standard deviations. Its gains depend
-on times alone, so that whitening is a linear map, lower triangular in time.
+only on times, so that whitening is a linear map, lower triangular in time.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ class Colour(NamedTuple):
 
 
 class Whitening(NamedTuple):
-    """The map from residuals with coloured noise to such with white noise, (B, T, M) each.
+    """Map from residuals with coloured noise to residuals with white noise, (B, T, M) each.
 
     Attributes:
-        kept: fraction of the coloured part that is left from the time before.
-        gain: of the filter, 0 where nothing was measured.
+        kept: fraction of the coloured part that remains from the previous time.
+        gain: gain of the filter, 0 where nothing was measured.
         scale: 1 over the standard deviation of an innovation, 0 where nothing was measured.
     """
 
@@ -42,7 +42,7 @@ class Whitening(NamedTuple):
 
     @classmethod
     def of(cls, colour: Colour, times: Tensor, there: Tensor) -> Whitening:
-        """Return the map of rows at times (B, T), where some numbers were measured, (B, T, M) bool."""
+        """Return the map of rows at times (B, T), with a mask of measured numbers, (B, T, M) bool."""
         fractions, memories = (part.to(times) for part in colour)
         gaps = torch.nn.functional.pad(times.diff(dim=1), (1, 0))
         kept = (-gaps.unsqueeze(-1) / memories).exp()

@@ -1,6 +1,6 @@
 """Ground station observing a satellite with state [position, momentum] in an inertial frame.
 
-Refraction and polar motion are not modelled; light time is, where measurements are tagged with its ends.
+Refraction and polar motion are not modelled; light time is, for measurements tagged with its ends.
 """
 
 from __future__ import annotations
@@ -54,10 +54,11 @@ class GroundStation(Differing):
         rotation_rate: rotation rate of the Earth, rad/s.
         radius: equatorial radius, km.
         flattening: flattening of the ellipsoid; 0 for a sphere.
-        mass: mass of the satellite in kg; the range-rate is that of the velocity p / mass.
+        mass: mass of the satellite in kg; the range rate is computed from the velocity p / mass.
         min_elevation: minimum elevation in degrees. 0 is the horizon, -90 means unlimited view.
-        event: what the times of measurements tag. At `bounce` geometry is instantaneous; else light takes its
-            time, there and back: a range is half the way, and positions move by their velocities.
+        event: event tagged by the times of measurements. With `bounce`, geometry is instantaneous. Otherwise
+            the light time there and back counts: a range is half the path, and positions move by their
+            velocities.
 
     Raises:
         UserError: a number is not finite or outside its limits.
@@ -106,7 +107,7 @@ class GroundStation(Differing):
         if self.to_bounce:
             delay = self.to_bounce * line.square().sum(-1, keepdim=True).sqrt() / LIGHT
             line = line + delay * x[..., 3:6] / self.mass
-            other = line - 2 * delay * drift  # from where the station is at the other end
+            other = line - 2 * delay * drift  # from the station's position at the other end
         east, north, up = (line.unsqueeze(-2) @ axes).squeeze(-2).unbind(-1)
         distance = line.square().sum(-1).sqrt()
         elevation = torch.atan2(up, torch.hypot(east, north))

@@ -14,7 +14,7 @@ TOLERANCE = 1e-9
 def lagrange(times: Tensor, values: Tensor, t: float, order: int) -> Tensor:
     """Interpolate a table at time t by the polynomial through the nearest order + 1 rows.
 
-    At a row time the result is that row, bit for bit. Between rows with spacing h the error is at most
+    At a row time the result is exactly that row. Between rows with spacing h the error is at most
 
         max |f^(n+1)| |(t - t_0) ... (t - t_n)| / (n+1)!,    n = order,
 
@@ -36,7 +36,7 @@ def lagrange(times: Tensor, values: Tensor, t: float, order: int) -> Tensor:
     if math.isfinite(t) and float(distance[nearest]) <= TOLERANCE * max(1.0, abs(t)):
         return values[nearest]
     if not float(times[0]) < t < float(times[-1]):
-        message = f"expected a time of the table, {times[0]:g} to {times[-1]:g}; received {t:g}"
+        message = f"expected a time within the table, {times[0]:g} to {times[-1]:g}; received {t:g}"
         raise ValueError(message)
     # The window is centred on the interval (even number of rows) or on the nearest row (odd number).
     after = int(torch.searchsorted(times, t))

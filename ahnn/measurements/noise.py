@@ -25,11 +25,11 @@ def noise_deviations(
 
     Args:
         measurement: the model, with M components.
-        given: one number for all components, or one for each; of states also one for positions and one for
-            momenta, of several instruments of a size those of one; None takes those that a model has itself
-            (`deviations`), and is refused without.
+        given: one number for all components, or one for each; for states also one for positions and one for
+            momenta; for several instruments of one size, the numbers of one of them. None: the model's own
+            (`deviations`), an error if it has none.
         who: the parameter, for messages.
-        names: of the components, for messages; None for those of the model.
+        names: names of the components, for messages; None: the names in the model.
 
     Raises:
         UserError: wrong count, or numbers that are not positive and finite.

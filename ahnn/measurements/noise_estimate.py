@@ -1,4 +1,4 @@
-"""Unknown noise parameters of measurements before a training, and their estimates after it."""
+"""Unknown noise parameters of measurements before training, and their estimates after it."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from ahnn.measurements.coloured_noise import Colour
 from ahnn.measurements.segment import Instrument
 
 TOLD = 0.5
-"""A bias whose standard deviation is still so large a fraction of that of its prior was not determined."""
+"""A bias was not determined if its standard deviation is still this fraction of its prior's."""
 
 
 class UnknownNoise(NamedTuple):
-    """Noise parameters estimated by a training in addition to the dynamics.
+    """Noise parameters estimated in training in addition to the dynamics.
 
     Attributes:
-        sizes: whether standard deviations.
-        correlation: whether a coloured part.
-        bias_sd: (M,) standard deviations of constant biases, 0 where there is none; None for none.
+        sizes: whether to estimate standard deviations.
+        correlation: whether to estimate a coloured part.
+        bias_sd: (M,) standard deviations of constant biases, 0 where there is none; None: no biases.
     """
 
     sizes: bool = False
@@ -48,7 +48,7 @@ class NoiseEstimate:
         memories: time constants of that part.
         bias: offset of readings from the truth; empty if not estimated.
         bias_sd: standard deviations of these.
-        prior_sd: standard deviations of biases before anything was measured, 0 where there is none.
+        prior_sd: prior standard deviations of biases, 0 without bias.
     """
 
     deviations: list[Positive]
@@ -63,7 +63,7 @@ class NoiseEstimate:
         """Return the instrument with its noise completed by the estimates.
 
         Raises:
-            UserError: the estimate is of another number of columns.
+            UserError: the estimate has a different number of columns.
         """
         size = len(instrument.deviations)
         if any(values and len(values) != size for values in asdict(self).values()):
@@ -106,7 +106,8 @@ class NoiseEstimate:
         if not coloured:
             return "no correlation of the noise in time was found"
         each = [
-            f"{100 * part:.3g} % of that of {name} over {memory:.3g}" for name, _, part, memory in coloured
+            f"{100 * part:.3g} % of the noise of {name} over {memory:.3g}"
+            for name, _, part, memory in coloured
         ]
         white, slow = (
             [sd * math.sqrt(part if coloured else max(1 - part, 1e-3)) for _, sd, part, _ in found]
@@ -133,6 +134,6 @@ class NoiseEstimate:
         if open_:
             said.append(
                 f"the bias of {', '.join(open_)} cannot be separated from the motion: the learned "
-                "functions shift with it, and bands include the standard deviation given"
+                "functions shift with it, and bands include its given standard deviation"
             )
         return said

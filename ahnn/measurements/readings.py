@@ -1,4 +1,4 @@
-"""Measurement models of the positions and of the whole state."""
+"""Measurement models of the positions and of the full state."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Position(Differing):
 
 
 class State(Differing):
-    """The whole state, positions and momenta.
+    """The full state, positions and momenta.
 
     Args:
         degrees_of_freedom: number n of degrees of freedom.

@@ -24,7 +24,7 @@ class Instrument(NamedTuple):
         width: number of samples on either side within which the motion is cubic up to the noise.
         bias: (M,) offset of readings from the truth; None for zeros.
         bias_sd: (M,) standard deviations of the offset, 0 if known; None for zeros.
-        colour: of the noise; None for white noise.
+        colour: correlation of the noise; None for white noise.
     """
 
     measurement: Measurement
@@ -42,7 +42,7 @@ class Segment(NamedTuple):
     """Batch of measurement segments with K intervals each and unknown states.
 
     Attributes:
-        values: (B, K + 1, M); NaN where missing, also for single components.
+        values: (B, K + 1, M); NaN where missing, also for individual components.
         times: (B, K + 1), increasing in each row.
         instrument: instrument of the measurements.
     """

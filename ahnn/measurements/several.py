@@ -13,7 +13,7 @@ from ahnn.measurements.base import Locating, Measurement, Sighted, Time
 
 
 class Several:
-    """Concatenated measurements of several models, NaN for those without view of the state.
+    """Concatenated measurements of several models, NaN for models that do not have the state in view.
 
     Args:
         models: at least one; names are prefixed with the number of their model, from 1.

@@ -26,7 +26,7 @@ class Local(NamedTuple):
 
     Attributes:
         value, rate, curvature: (E, C) value at the centre, and first and second derivatives.
-        error: (E, C) difference of the central sample from the polynomial through the others.
+        error: (E, C) difference of the central sample from the polynomial through all other samples.
         leverage: (E,) weight of that sample in its own polynomial.
         width: number of fitted samples on either side.
         chosen: (E, 2) row and column of the central samples; None for the first sample.

@@ -5,10 +5,10 @@ latitude: 67.86            # degrees, geodetic
 longitude: 20.96
 height: 400                # m
 min_elevation: 10          # degrees
-event: receive             # or transmit: times tag it, light takes its time; bounce, the default, has none
-noise: {range: 0.05, azimuth: 0.006, elevation: 0.006}     # km, degrees, km/s; what it measures
-bias: {range: 0.02}        # of what is measured, as it is known
-bias_sd: {range: 0.1}      # and to what; estimated
+event: receive             # or transmit; times tag this event. Default: bounce, without light time
+noise: {range: 0.05, azimuth: 0.006, elevation: 0.006}     # km, degrees, km/s; these kinds are measured
+bias: {range: 0.02}        # known biases of these kinds
+bias_sd: {range: 0.1}      # standard deviations of biases to estimate
 troll: [-72.0, 2.5, 1270]    # latitude, longitude, height
 """
 
@@ -33,7 +33,7 @@ from ahnn.measurements.several import Several
 
 SEEN = ("range", "azimuth", "elevation", "range_rate")
 FACTORS = {"azimuth": math.pi / 180, "elevation": math.pi / 180}
-"""From the units of the file."""
+"""Conversion factors from the units of the file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +43,8 @@ class StationEntry:
     Attributes:
         latitude, longitude: geodetic, degrees.
         height: m above the ellipsoid.
-        min_elevation: degrees below which it sees nothing.
-        event: that times tag; None where nothing is said.
+        min_elevation: minimum elevation in degrees.
+        event: event tagged by times; None if not stated.
         noise: standard deviations by kind, km, degrees and km/s.
         bias: known biases, likewise.
         bias_sd: standard deviations of the biases, likewise.
@@ -95,13 +95,13 @@ class BiasedStation(Differing):
     """A station of a file with its known biases; it measures the kinds that have a noise.
 
     Args:
-        entry: of the file.
-        earth_angle: as of `GroundStation`.
-        mass: of the satellite in kg.
+        entry: entry of the file.
+        earth_angle: see `GroundStation`.
+        mass: mass of the satellite in kg.
         who: prefix of messages.
 
     Raises:
-        UserError: nothing that it measures.
+        UserError: the station measures nothing.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class BiasedStation(Differing):
         kept = [k for k, name in enumerate(SEEN) if name in entry.noise]
         if not kept:
             message = (
-                f"{who}noise: expected standard deviations of {', '.join(SEEN)}, or of some; received none"
+                f"{who}noise: expected standard deviations of one or more of {', '.join(SEEN)}; received none"
             )
             raise UserError(message)
         place = entry.latitude, entry.longitude, entry.height / 1e3
@@ -139,29 +139,29 @@ class BiasedStation(Differing):
         return self.station(x, t)[..., self.kept] + torch.tensor(self.bias).to(x)
 
     def in_view(self, x: Tensor, t: Time) -> Tensor:
-        """Return whether the states x (..., D) stand at the least elevation or higher, (..., M) bool."""
+        """Return whether the states x (..., D) are at or above the minimum elevation, (..., M) bool."""
         return self.station.in_view(x, t)[..., self.kept]
 
     def locate(self, y: Tensor, t: Time) -> Tensor:
-        """Return the positions (..., 3) in km that are seen as y (..., M); NaN unless all of them is seen."""
+        """Return the positions (..., 3) in km that produce y (..., M); NaN unless all kinds are measured."""
         whole = y.new_full((*y.shape[:-1], len(SEEN)), torch.nan)
         whole[..., self.kept] = y - torch.tensor(self.bias).to(y)
         return self.station.locate(whole, t)
 
 
 class StationsOfFile(Several):
-    """The stations of a file, side by side; components have the names of their stations, as `kiruna.range`.
+    """The stations of a file, side by side; components include the station name, such as `kiruna.range`.
 
     Args:
         file: path of the stations, see `ahnn.measurements.station_file`.
-        earth_angle: as of `GroundStation`.
-        mass: of the satellite in kg.
-        only: names of those that count; None for all.
+        earth_angle: see `GroundStation`.
+        mass: mass of the satellite in kg.
+        only: names of the stations to use; None for all.
 
     Attributes:
-        stations: by name.
-        deviations: standard deviations of all their numbers.
-        bias_sd: those of their biases, 0 for none.
+        stations: stations by name.
+        deviations: standard deviations of all numbers.
+        bias_sd: standard deviations of their biases, 0: no bias.
 
     Raises:
         UserError: no station, or an invalid one.

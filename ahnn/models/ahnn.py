@@ -19,7 +19,7 @@ class AHNN(AbstractModel):
         dof: degrees of freedom n.
         inertia: factor m of T = p^2 / 2m, used by `mechanical` and `central_body`.
         hamiltonian: generic, separable, mechanical, central_body, mass_matrix or pairs.
-        mu: gravitational parameter of `central_body`; None learns it.
+        mu: gravitational parameter of `central_body`; None: learned.
         falloff: k of a learned V(q) = (R / r)^k N(q); 0 for no prescribed decay with distance.
         dimensions: number of coordinates of a body, for hamiltonian=pairs.
         inputs: cartesian, isotropic or radial positions, or angles.

@@ -35,7 +35,7 @@ LOOKS = 50
 
 
 class Optimisation(NamedTuple):
-    """Factories of the optimiser and its scheduler, which belong to a training instead of a model."""
+    """Factories of the optimiser and its scheduler, which belong to a training run instead of a model."""
 
     optimizer: Callable[[Iterable[nn.Parameter]], Optimizer]
     scheduler: Callable[[Optimizer], LRScheduler] | None
@@ -79,7 +79,7 @@ class AbstractModel(LightningModule, ABC):
         self._about: dict[str, Any] = {}
 
     def train_by(self, optimisation: Optimisation, about: Mapping[str, Any]) -> None:
-        """Set the optimiser of a training, and its checkpoint metadata."""
+        """Set the optimiser of a training run, and its checkpoint metadata."""
         self._optimisation, self._about = optimisation, {**about}
 
     def learns_from(self, **about: Any) -> None:

@@ -31,7 +31,7 @@ def states_of(x: Numbers, who: str, dynamics: Dynamics, space: Space) -> Tensor:
 
 
 def starts_of(start: Numbers, dynamics: Dynamics, space: Space) -> Tensor:
-    """Return finite starts (B, 2n) of (B, 2n) or (2n,); raises UserError for others."""
+    """Return finite starts (B, 2n) of (B, 2n) or (2n,); raises UserError otherwise."""
     x = torch.atleast_2d(states_of(start, "start", dynamics, space))
     if x.ndim > 2:
         message = f"start: expected shape (B, {x.shape[-1]}); received {tuple(x.shape)}"
@@ -120,7 +120,7 @@ def controls_of(controls: Numbers | None, count: int, size: int, starts: int) ->
 
 
 def lengths_of(dt: Numbers, like: Tensor) -> TimeStep:
-    """Return a finite time step, or a tensor of such steps; raises UserError for others."""
+    """Return a finite time step, or a tensor of such steps; raises UserError otherwise."""
     step = as_float64(dt, "dt", like.device)
     if step.shape not in ((), like.shape) or not bool(step.isfinite().all()):
         received = float(step) if step.ndim == 0 else described(step)

@@ -28,7 +28,8 @@ def require_named(reference: Reference) -> None:
         raise UserError(message)
     if reference.epoch is None:
         message = (
-            "epoch: expected that of time zero for an ephemeris message, such as epoch=2024-03-01T12:00:00"
+            "epoch: expected the date of time zero for an ephemeris message; received none. Add "
+            "epoch=2024-03-01T12:00:00"
         )
         raise UserError(message)
 

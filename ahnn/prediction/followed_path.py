@@ -64,7 +64,7 @@ class PathRows(NamedTuple):
 class FollowedPath:
     """Current states of a batch of paths, with sensitivities to start and parameters.
 
-    PathRows have the factors of covariances in their place if asked, in float64.
+    PathRows contain the factors of covariances instead if requested, in float64.
     """
 
     def __init__(self, dynamics: Dynamics, known: Knowledge, *, factors: bool = False) -> None:

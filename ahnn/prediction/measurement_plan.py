@@ -2,8 +2,8 @@
 
 To first order, a measurement's information does not depend on its value. The unknowns are independent with
 unit variance, the columns of factors of covariances. A plan grows by the candidate that lowers the trace of
-the forecast's covariance most; then single measurements are exchanged while that lowers it further (Fedorov
-1972, Theory of Optimal Experiments, chapter 3).
+the forecast's covariance most; then individual measurements are exchanged while that lowers it further
+(Fedorov 1972, Theory of Optimal Experiments, chapter 3).
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ class MeasurementPlan(NamedTuple):
 
 @torch.no_grad()
 def plan_measurements(candidates: Sequence[Tensor], forecast: Tensor, count: int) -> MeasurementPlan:
-    """Choose measurements of which no single one can be exchanged for a better one, best first.
+    """Choose measurements until no exchange of one of them improves the plan; best first.
 
     Args:
-        candidates: of each, the derivative (K, R) of its K measurements by the unknowns, over their standard
+        candidates: for each, the derivative (K, R) of its K measurements by the unknowns, over their standard
             deviations.
         forecast: (G, R) derivative of the predicted values.
         count: number to choose, at most all.
@@ -63,7 +63,7 @@ def plan_measurements(candidates: Sequence[Tensor], forecast: Tensor, count: int
 def _one_by_one(
     rows: list[Tensor], forecast: Tensor, among: Sequence[int], count: int
 ) -> tuple[list[int], Tensor]:
-    """Choose among some candidates the best beside those before it; return also the variances."""
+    """Choose the best of some candidates in addition to earlier ones; return also the variances."""
     chosen, variances = [], [_trace(forecast)]
     for _ in range(min(count, len(among))):
         left = [k for k in among if k not in chosen]
@@ -89,7 +89,7 @@ def _trace(factor: Tensor) -> Tensor:
 
 
 def _reduction(rows: Tensor, forecast: Tensor) -> float:
-    """Return by how much measurements lower the trace of the forecast's covariance."""
+    """Return the decrease of the trace of the forecast's covariance due to measurements."""
     innovation = torch.eye(len(rows)).to(rows) + rows @ rows.mT
     root = torch.linalg.cholesky(innovation)
     return float(_trace(torch.linalg.solve_triangular(root, rows @ forecast.mT, upper=False)))

@@ -21,8 +21,8 @@ from ahnn.uncertainty import BEYOND
 def columns(prediction: Prediction, starts: Starts, space: Space) -> dict[str, Any]:
     """Return the columns of all trajectories, concatenated.
 
-    Momenta proportional to velocities are written as velocities, named as in docs/data.md; `sd_` marks a
-    standard deviation, and `novel` is 1 for states outside the training data.
+    Momenta proportional to velocities are written as velocities, with the names of docs/data.md; `sd_` marks
+    a standard deviation, and `novel` is 1 for states outside the training data.
 
     Args:
         prediction: prediction to write.

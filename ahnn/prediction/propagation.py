@@ -1,7 +1,7 @@
 """Propagation of starts to given times, with covariance and novelty.
 
-The covariance is that of `ahnn.uncertainty.rollout_covariances`, including the uncertainty of the start, and
-is propagated in segments so that any duration fits into memory. Outside the training data, the sensitivity of
+The covariance follows `ahnn.uncertainty.rollout_covariances`, includes the uncertainty of the start, and is
+propagated in segments so that any duration fits into memory. Outside the training data, the sensitivity of
 the field to its parameters is multiplied by `growth`: the error of a learned force grows there faster than
 its parameter covariance implies.
 """
@@ -36,7 +36,7 @@ class Prediction(NamedTuple):
     """Predicted trajectories.
 
     Attributes:
-        times: (T,) times, the first that of the starts.
+        times: (T,) times, the first at the starts.
         states: (B, T, D) predicted states.
         covariances: (B, T, D, D) covariances, or None if unknown.
         novelty: (B, T) distance from the training data, scaled to 1 at its edge; None if unknown.
@@ -78,7 +78,7 @@ def predicted(
         times: (T,) increasing.
         longest: maximum integrator step; intervals are divided into the fewest equal steps.
         known: uncertainty information.
-        description: text of the progress bar, or None for no bar.
+        description: text of the progress bar; None: no bar.
         clock: time and controls at the times, (T, k) or (B, T, k); None for autonomous dynamics.
 
     Raises:
@@ -100,7 +100,7 @@ def prediction_factors(
 ) -> tuple[Tensor, Tensor]:
     """Return predicted states (T, D) and factors (T, D, R) of their covariances, both float64.
 
-    The R causes are independent with unit variance: first those of the parameters, then those of the start.
+    The R causes are independent with unit variance: first the parameters, then the start.
 
     Args:
         dynamics: float64 dynamics.
@@ -110,7 +110,7 @@ def prediction_factors(
         known: uncertainty information, of the start at least.
 
     Raises:
-        UserError: as `predicted`.
+        UserError: the errors of `predicted`.
     """
     require_times(times)
     require_finite(start)
@@ -153,7 +153,7 @@ def needs_quarters(dynamics: Dynamics, start: Tensor, steps: Steps) -> bool:
 
 
 def together(predictions: Sequence[Prediction]) -> Prediction:
-    """Combine predictions of several trainings to their mean, with their spread in the covariance.
+    """Combine predictions of several runs to their mean, with their spread in the covariance.
 
     Law of total covariance: the mean of the individual covariances, if all are known, plus the sample
     covariance of the states. The novelty is the maximum.
@@ -176,10 +176,7 @@ def require_times(times: Tensor) -> None:
     """Raise UserError for times that are not (T,), finite and increasing."""
     if times.ndim != 1 or len(times) < 2 or not bool((times.diff() > 0).all() & times.isfinite().all()):
         received = times.tolist() if times.numel() < 7 else f"shape {tuple(times.shape)}"
-        message = (
-            "times: expected two or more that increase, beginning with that of the start; received "
-            f"{received}"
-        )
+        message = f"times: expected two or more increasing times, the first at the start; received {received}"
         raise UserError(message)
 
 

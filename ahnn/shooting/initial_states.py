@@ -41,7 +41,7 @@ A shift along an orbit grows with time and hides the other directions of a start
 REFITS = 2
 """Number of refitting steps after a parameter step, with the previous derivatives."""
 FOLLOWING = 4
-"""Maximum number of steps with new derivatives, after the long final step of a training."""
+"""Maximum number of steps with new derivatives, after the long final step of the training."""
 ROWS = 100
 """Minimum number of paths propagated together, even if two cores could share them."""
 
@@ -69,7 +69,7 @@ class Linearised(NamedTuple):
         residuals: (B, K + 1, M) predicted - measured in standard deviations, whitened where their noise is
             coloured, times the square root of their weights.
         of_state: (B, K + 1, M, D) their derivative with respect to the state at their time;
-            if residuals are whitened, that of the original ones.
+            if residuals are whitened, the derivative of the original residuals.
         of_start: (B, K + 1, M, D) derivative with respect to the initial state.
     """
 

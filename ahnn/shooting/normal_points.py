@@ -1,6 +1,7 @@
 """Normal points: compression of neighbouring measurements to one time, as in laser ranging.
 
-The effect of the initial state on a path is preserved exactly, while that of parameters within a group is
+The effect of the initial state on a path is preserved exactly, while the effect of parameters within a group
+is
 neglected: for an effect that grows with t², a fraction of (τ / t)². Residuals are exact, so that the optimum
 is unchanged.
 """

@@ -109,7 +109,7 @@ def sensitivities(jacobians: Tensor, forcing: Tensor, steps: Steps, first: Tenso
     Args:
         jacobians: Jacobians of the steps, (B, N, D, D).
         forcing: f_theta, the derivative of the field with respect to the parameters, (B, N + 1, L, P), of
-            its last L components; zero for the others.
+            its last L components; zero for all other components.
         steps: step lengths, and indices of the requested states.
         first: dx_0/dtheta, (B, D, P); None for zero, a fixed initial state.
     """

@@ -145,7 +145,7 @@ class System(ABC):
         return torch.cat((self.velocity(p), self.force(q)), dim=-1)
 
     def __call__(self, x: Tensor) -> Tensor:
-        """Return dx/dt, forces included, shape (..., D), at the states x, shape (..., D)."""
+        """Return dx/dt, including forces, shape (..., D), at the states x, shape (..., D)."""
         return forced(self.hamiltonian, self.forces, x, self.clock) if self.forces else self.hamiltonian(x)
 
     def compiled(self, flow: Flow, longest: float) -> Flow:

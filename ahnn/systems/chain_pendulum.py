@@ -21,7 +21,8 @@ class ChainPendulum(MassMatrixSystem):
     """Chain of point masses on rigid rods; two links form the chaotic double pendulum.
 
     M_ij = m_{>= max(i, j)} l_i l_j cos(q_i - q_j) and V = -sum_i m_{>= i} g l_i cos q_i, where m_{>= i} is
-    the mass from link i on (Finzi, Wang & Wilson 2020, arXiv:2010.13581, use the Cartesian form).
+    the mass of link i and all later links (Finzi, Wang & Wilson 2020, arXiv:2010.13581, use the Cartesian
+    form).
 
     Attributes:
         links: number of links.
@@ -47,7 +48,7 @@ class ChainPendulum(MassMatrixSystem):
         super().__post_init__()
         for name in ("masses", "lengths"):
             if (given := getattr(self, name)) is not None and len(given) != self.links:
-                message = f"{name}: expected one for each of {self.links} links; received {given}"
+                message = f"{name}: expected one number for each of {self.links} links; received {given}"
                 raise UserError(message)
 
     @property

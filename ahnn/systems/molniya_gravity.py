@@ -63,7 +63,7 @@ class MolniyaGravity(SatelliteSystem):
         """The gravity field."""
         known = ggm05c(self.tide) if self.gravity == "ggm05c" else read_gfc(self.gravity, self.epoch)
         if known.tide != self.tide:
-            message = f"tide: expected {known.tide}, as {self.gravity} has it; received {self.tide}"
+            message = f"tide: expected {known.tide}, as in {self.gravity}; received {self.tide}"
             raise UserError(message)
         return known.cut(self.degree, self.order)
 

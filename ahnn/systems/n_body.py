@@ -44,7 +44,7 @@ class NBody(System):
             message = f"bodies: expected at least two; received {self.bodies}"
             raise UserError(message)
         if self.masses is not None and len(self.masses) != self.bodies:
-            message = f"masses: expected one for each of {self.bodies} bodies; received {self.masses}"
+            message = f"masses: expected one number for each of {self.bodies} bodies; received {self.masses}"
             raise UserError(message)
 
     @property
@@ -85,7 +85,7 @@ class NBody(System):
         return kinetic - (product / r).sum((-1, -2)) / 2
 
     def force(self, q: Tensor) -> Tensor:
-        """Return the attraction of each body by the others, shape (..., 2N)."""
+        """Return the attraction of each body by all other bodies, shape (..., 2N)."""
         apart, r, product = self.between(q)
         return -(product / r**3).unsqueeze(-1).mul(apart).sum(-2).flatten(-2)
 

@@ -20,7 +20,7 @@ from ahnn.systems.base import System
 from ahnn.types import Flow, TimeStep
 
 ACCURACY = 1e-10
-"""Tolerated error of a whole trajectory, relative to the size of positions and of momenta."""
+"""Tolerated error of a full trajectory, relative to the size of positions and of momenta."""
 TRIED, STEPS = 16, 24
 """Number of trajectories and sampling intervals in a trial."""
 FINEST = 64
@@ -138,7 +138,7 @@ class SubstepsFlow(NamedTuple):
 
     @property
     def half(self) -> Tensor:
-        """Half-widths of differences, (2 (n + k),); those of the clock are fractions of an interval."""
+        """Half-widths of differences, (2 (n + k),); for the clock, fractions of an interval."""
         position, momentum = (DIFFERENCE * self.system.deviations()).chunk(2)
         rates = position.new_full((self.clock,), DIFFERENCE)
         return torch.cat((position, self.system.dt * rates, momentum, rates))

@@ -99,7 +99,7 @@ def chain(links: int, floor: float, **published: float) -> FieldTask:
         f"chain of {links} pendulums from {CHUNKS} chunks of {SAMPLES} states, {STEP:g} apart",
         SOURCE,
         "|x - y| / |x + y| of positions and velocities, geometric mean over 3 units of time",
-        "momenta are given; the published models see velocities",
+        "given momenta; the published models use velocities",
         published,
         {"mass_matrix": ("model=hnn", "hamiltonian=mass_matrix", "inputs=angles", "loss=recursive", *LONGER)},
         partial(draw, links=links),

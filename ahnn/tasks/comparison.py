@@ -10,7 +10,7 @@ from ahnn.tasks.definition import FieldTask
 
 WIDTH = 80
 OWN = ("score", "seconds", "floor")
-"""Names of saved training information; all others are further scores."""
+"""Names of saved training information; all other entries are further scores."""
 Scores = Mapping[str, Sequence[Mapping[str, float]]]
 """Saved results of the draws, by model."""
 
@@ -49,7 +49,7 @@ def table(name: str, task: FieldTask, scores: Scores) -> str:
 
 
 def reference(task: FieldTask, floors: Sequence[float]) -> tuple[float, str]:
-    """Return the reference score, 0 for none, and its column header."""
+    """Return the reference score, 0 if there is none, and its column header."""
     if task.published:
         best = min(task.published, key=lambda key: task.published[key])
         return task.published[best], f"of {best}'s"

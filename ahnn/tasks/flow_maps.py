@@ -29,7 +29,7 @@ class Sampling(NamedTuple):
     """Training and test trajectories of a map.
 
     Attributes:
-        system: system; its interval is the step of the map, its steps those of the training.
+        system: system; its interval is the step of the map, its number of steps the length of training runs.
         runs: number of trajectories, a tenth each for validation and test.
         tested: number of test steps.
         begin: (count, draw) -> starts.
@@ -55,7 +55,7 @@ def bodies(count: int, draw: int) -> Tensor:
 
 
 def first_quarter(exact: Tensor) -> Tensor:
-    """Return trajectories (B, T, 2) up to the first sample past q = 0, NaN from there on."""
+    """Return trajectories (B, T, 2) up to the first sample past q = 0, NaN after it."""
     passed = (exact[..., :1] * exact[:, :1, :1] < 0).cummax(1).values
     before = torch.cat((torch.zeros_like(passed[:, :1]), passed[:, :-1]), dim=1)
     return exact.masked_fill(before, torch.nan)
@@ -121,7 +121,7 @@ TASKS: dict[str, FieldTask] = {
         "pendulum from the first quarter swing of 400 runs, 0.1 apart",
         SOURCE,
         ERROR.format(10, 50),
-        f"{SAME}; the error is over one time for all runs instead of a period of each",
+        f"{SAME}; the error covers the same time in all runs, not one period of each",
         {},
         models(30, "integrator=dopri5", lnn=LNN, mechanical=MECHANICAL),
         partial(

@@ -50,7 +50,7 @@ SPRING = FieldTask(
     "spring, q^2 + p^2, from 25 trajectories of 30 noisy states",
     SOURCE,
     f"squared error of the energy over {LONG:g} units of time, {STARTS} starts in [-1, 1]^2",
-    "the published models see exact derivatives as well as noisy states; these see only noisy states",
+    "the published models also use exact derivatives; these use only noisy states",
     {"baseline": 0.17, "HNN": 3.8e-4},
     MODELS,
     partial(draw, system=TWO_SQUARES, rate=10, radii=(0.1, 1.0)),

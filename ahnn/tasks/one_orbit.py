@@ -43,8 +43,8 @@ def true_motion(x: Tensor, steps: int, dt: float) -> Tensor:
 def draw(k: int) -> Draw:
     """Draw one noisy orbit, with the error of its continuation from the best-fitting start.
 
-    Training uses pieces of it with separate starts, since shooting over the whole orbit does not converge. It
-    also serves for validation and test, as there are no other data.
+    Training uses pieces of it with separate starts, since shooting over the entire orbit does not converge.
+    It also serves for validation and test, as there are no other data.
     """
     start = begin(k)
     with torch.no_grad():
@@ -84,7 +84,7 @@ TASK = FieldTask(
     "magnusross/hgp, MIT; Ross & Heinonen 2023, TMLR",
     f"root mean squared error on ({DURATION:g}, {2 * DURATION:g}] in standard deviations of the data, from "
     "the start that fits the noisy states best",
-    "the size of the noise is known here; the floor is that of the true equations from the start that fits",
+    "the noise level is known here; floor: true equations from the best-fitting start",
     {},
     {
         "network": ("model=hnn", *MEASURED),

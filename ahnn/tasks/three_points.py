@@ -22,19 +22,19 @@ TESTED = 100
 
 
 def well(constants: list[float]) -> System:
-    """Return Hénon-Heiles with other coefficients."""
+    """Return Hénon-Heiles with given coefficients."""
     a, b, c, d = constants
     return CubicWell(name="henon_heiles", a=a, b=b, c=c, d=d, dt=STEP, steps=STEPS)
 
 
 def stiff_chain(constants: list[float]) -> System:
-    """Return the chain with other springs."""
+    """Return the chain with given springs."""
     stiffness, softness = constants
     return StiffChain(name="fermi_pasta", stiffness=stiffness, softness=softness, dt=STEP, steps=STEPS)
 
 
 def double_pendulum(constants: list[float]) -> System:
-    """Return the double pendulum with another second mass, other lengths, and another gravity."""
+    """Return the double pendulum with given second mass, lengths and gravity."""
     mass, *lengths, gravity = constants
     options = {"masses": [1.0, mass], "lengths": lengths, "gravity": gravity}
     return ChainPendulum(name="double_pendulum", dt=STEP, steps=STEPS, **options)
@@ -43,7 +43,7 @@ def double_pendulum(constants: list[float]) -> System:
 def draw(k: int, *, form: Callable[[list[float]], System], constants: list[float]) -> Draw:
     """Draw noisy trajectories of four samples, with the error of the flow from other starts.
 
-    The floor is the error of the same form with constants fitted to the training trajectories.
+    The floor is the error of the true form with constants fitted to the training trajectories.
     """
     system, generator = form(constants), numbers(k)
     flow, size = exact_flow(system), 2 * system.dof

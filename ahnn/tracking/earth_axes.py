@@ -1,4 +1,4 @@
-"""Orientation of the Earth at time zero, for ground stations that turn with constant rate from there on."""
+"""Orientation of the Earth at time zero, for ground stations that turn with constant rate."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def earth_axes(reference: Reference) -> float | list[list[float]]:
 
     For EME2000, GCRF and TEME it is the (3, 3) matrix from the frame to the Earth's axes by IAU 2006/2000A
     (IERS Conventions 2010, 5.4), with UT1 of the package astropy-iers-data if it has the day, else UT1 = UTC.
-    Pole motion (2e-6 rad) is left out. The celestial pole stays where it is at time zero, from which it moves
-    by at most 1e-6 rad in a day and 1e-4 rad in a year. For other frames it is the Earth's rotation angle
-    about the z axis, which is right in CIRS, the true equator of date.
+    Pole motion (2e-6 rad) is neglected. The celestial pole is kept at its position at time zero, from which
+    it moves by at most 1e-6 rad in a day and 1e-4 rad in a year. For other frames it is the Earth's rotation
+    angle about the z axis, which is right in CIRS, the true equator of date.
 
     Raises:
         UserError: pyerfa is missing.

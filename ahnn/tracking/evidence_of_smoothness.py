@@ -24,7 +24,7 @@ def chosen_smoothness(
 ) -> Smoothness:
     """Return the smoothness of maximum evidence on a grid.
 
-    For measurements linearised about a point and normal noise, the evidence is that of Rasmussen & Williams
+    For measurements linearised about a point and normal noise, the evidence follows Rasmussen & Williams
     (2006), 5.8, up to terms independent of the smoothness.
 
     Args:
@@ -38,7 +38,7 @@ def chosen_smoothness(
         return before
     basis = unknowns.smooth[0].basis
     square = rows.by.T @ (weights[:, None] * rows.by)
-    # Information on the unknowns themselves, instead of a step from the point.
+    # Information vector for the unknowns themselves, rather than for a step from the linearisation point x.
     free = unknowns.free
     pull = rows.by.T @ (weights * (rows.e + rows.by @ (x - unknowns.mean)[free]))
     found = []

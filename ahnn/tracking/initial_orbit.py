@@ -1,4 +1,4 @@
-"""A first orbit from three positions or directions, where nobody gives a start; two bodies, km and s."""
+"""Initial orbit from three positions or directions, if no start is given; two bodies, km and s."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 APART = np.radians(5.0)
 """Angle between neighbouring positions from which Gibbs' geometry is better than a series in time."""
 ARC, SERIES, SHORT = np.radians(60.0), np.radians(25.0), np.radians(0.2)
-"""Between the first and the last position or direction: at most, of Gauss at most, and at least."""
+"""Angle from the first to the last position or direction: maximum, maximum for Gauss, minimum."""
 NEAR = 1200.0
 """Seconds within which ranges are interpolated."""
 
@@ -44,7 +44,7 @@ def gauss(sites: Array, directions: Array, times: Array) -> list[Array]:
     """Return states (6,) at the second of three directions, of each solution (Curtis 2014, algorithm 5.5).
 
     Args:
-        sites: of the observers, (3, 3).
+        sites: positions of the observers, (3, 3).
         directions: unit vectors from them to the satellite, (3, 3).
         times: (3,).
     """
@@ -84,7 +84,7 @@ def gauss(sites: Array, directions: Array, times: Array) -> list[Array]:
 
 
 class OrbitOfPositions(NamedTuple):
-    """State (6,) at a time, and the angle of the arc that it is of."""
+    """State (6,) at a time, and the angle of its arc."""
 
     state: Array
     time: float
@@ -102,13 +102,13 @@ def orbit_of_positions(positions: Array, times: Array) -> OrbitOfPositions | Non
 
 
 def initial_orbit(model: TrackingModel) -> tuple[Array, float]:
-    """Return a state (6,) in GCRF and its time, to begin a fit of measurements with.
+    """Return a state (6,) in GCRF and its time, to start a fit of measurements.
 
     By Gibbs or Herrick and Gibbs for ranges with directions, by Gauss for directions only; the chosen
     triple of a station spans most of an arc of 60 degrees.
 
     Raises:
-        UserError: no station has seen enough directions.
+        UserError: no station has measured enough directions.
     """
     guesses = []
     for k, name in enumerate(model.data.stations):
@@ -133,7 +133,7 @@ def initial_orbit(model: TrackingModel) -> tuple[Array, float]:
 
 
 def sightings(model: TrackingModel, station: int) -> tuple[Array, Array, Array]:
-    """Return when a station saw directions, (T,), unit vectors in GCRF, (T, 3), and ranges then, (T,)."""
+    """Return times (T,), directions in GCRF, (T, 3), and ranges, (T,), measured by a station."""
     data = model.data
     rows = data.station == station
     times, values = data.times[rows], data.values[rows]
@@ -154,7 +154,7 @@ def sightings(model: TrackingModel, station: int) -> tuple[Array, Array, Array]:
 
 
 def triple(vectors: Array, most: float = ARC) -> list[int] | None:
-    """Return the places of three vectors (T, 3) that span the most of an arc; None where all are too near."""
+    """Return the indices of three vectors of (T, 3) that span most of an arc; None if all are too close."""
     spread = np.unique(np.linspace(0, len(vectors) - 1, min(len(vectors), 40)).astype(int))
     wide = [(angle(vectors[i], vectors[j]), i, j) for i, j in combinations(spread.tolist(), 2) if j > i + 1]
     _, first, last = max((one for one in wide if SHORT < one[0] < most), default=(0.0, 0, 0))

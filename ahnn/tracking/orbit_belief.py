@@ -19,7 +19,7 @@ class OrbitBelief(NamedTuple):
     """A normal belief about position, velocity and the other unknowns that are estimated.
 
     Attributes:
-        names: of the F components.
+        names: names of the F components.
         mean: (F,).
         covariance: (F, F).
         time: time of the belief, seconds after the epoch.
@@ -53,7 +53,7 @@ def prior_belief(problem: OrbitProblem, covariance: Array) -> OrbitBelief:
     """Return the prior belief of a problem, with the covariance (6, 6) of its start.
 
     Raises:
-        UserError: nothing is known of a parameter or a bias, and so no filter can begin.
+        UserError: a parameter or a bias has no prior, so no filter can begin.
     """
     unknowns, free = problem.unknowns, problem.unknowns.free
     learned = np.zeros(len(free), dtype=bool)

@@ -116,9 +116,9 @@ class OrbitFit:
     def scatter(self) -> Array:
         """Root mean squares of fitted residuals by station and kind, (stations, 6).
 
-        They represent the noise of single measurements; the noise of the fit is larger if errors of
-        neighbouring measurements are correlated, as for angles. For fewer than ten fitted values those of all
-        stations are used.
+        They represent the noise of individual measurements; the noise of the fit is larger if errors of
+        neighbouring measurements are correlated, as for angles. For fewer than ten fitted values, the values
+        of all stations are used.
         """
         return scatter_of(
             self.point.residuals, self.problem.model.data.station, self.problem.used, self.noise

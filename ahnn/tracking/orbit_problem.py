@@ -127,7 +127,7 @@ def unknowns_of(start: Array, forces: PreparedForces, data: TrackingData, biases
 
 
 def moment_of(data: TrackingData, time: float) -> str:
-    """Return the epoch of a time of some measurements."""
+    """Return the epoch of a measurement time."""
     return epochs.spelled(data.epoch + round(time * epochs.SECOND), utc=True)
 
 
@@ -167,7 +167,10 @@ def entries_of(setup: OrbitSetup, folder: Path, data: TrackingData) -> dict[str,
         known = {name: entry_of(value, f"stations.{name}") for name, value in (setup.stations or {}).items()}
         if unused := [name for name in known if name not in data.stations]:
             names = ", ".join(data.stations)
-            message = f"stations.{unused[0]}: expected one of {setup.measurements}: {names}; received another"
+            message = (
+                f"stations.{unused[0]}: expected a station of {setup.measurements}: {names}; received an "
+                "unknown one"
+            )
             raise UserError(message)
     for name in data.stations:
         if name not in known:
@@ -178,7 +181,7 @@ def entries_of(setup: OrbitSetup, folder: Path, data: TrackingData) -> dict[str,
 
 
 def require_event(entry: StationEntry, name: str, data: TrackingData) -> None:
-    """Raise UserError for a station that says that times tag another event than the data do."""
+    """Raise UserError for a station whose times tag another event than the data."""
     if entry.event not in (None, data.event):
         message = f"stations: {name}.event: expected {data.event}, as measured; received {entry.event}"
         raise UserError(message)
@@ -203,7 +206,7 @@ def by_kind(choice: KindChoice) -> Array:
 
 
 def noise_of(setup: OrbitSetup, data: TrackingData, entries: dict[str, StationEntry]) -> Array:
-    """Return the noise by station and kind, (stations, 6): the station's, the setup's, the file's median.
+    """Return the noise by station and kind, (stations, 6): from station, setup, or file median.
 
     Raises:
         UserError: the noise of some measurements is unknown.
@@ -218,7 +221,7 @@ def noise_of(setup: OrbitSetup, data: TrackingData, entries: dict[str, StationEn
         if np.isfinite(data.values[own, k]).any():
             stated = data.deviations[own, k][np.isfinite(data.deviations[own, k])]
             if not len(stated):
-                who = f"noise.{KINDS[k]}: expected a standard deviation of what {data.stations[s]} measured"
+                who = f"noise.{KINDS[k]}: expected a standard deviation for {data.stations[s]}"
                 message = f"{who}; received none"
                 raise UserError(message)
             table[s, k] = np.median(stated)
@@ -236,9 +239,9 @@ def require_light(setup: OrbitSetup, data: TrackingData) -> None:
 
 
 def biases_of(choice: KindChoice, data: TrackingData, entries: dict[str, StationEntry]) -> StationBiases:
-    """Return which stations and kinds have biases, what these are known to be, and how well.
+    """Return which stations and kinds have biases, their known values, and standard deviations.
 
-    A station's own numbers go before those of all; a bias that is known and has no deviation stays as it is.
+    A station's own numbers replace the common numbers; a known bias without deviation is kept.
     """
     pairs, means, deviations = list[tuple[int, int]](), list[float](), list[float]()
     for s, name in enumerate(data.stations):

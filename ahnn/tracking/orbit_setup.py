@@ -40,7 +40,7 @@ class GravityChoice:
     Attributes:
         field: eigen6s (to degree 12), ggm05c (to degree 8), or an ICGEM file.
         degree, order: truncation; by default the full field.
-        epoch: YYYY-MM-DD epoch of time-variable coefficients; by default that of the start.
+        epoch: YYYY-MM-DD epoch of time-variable coefficients; by default the epoch of the start.
     """
 
     field: str = "eigen6s"
@@ -51,7 +51,7 @@ class GravityChoice:
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceForce:
-    """Radiation pressure, or what drag shares with it.
+    """Radiation pressure, or the common part of it and drag.
 
     Attributes:
         area_to_mass: m^2/kg.
@@ -66,11 +66,11 @@ class SurfaceForce:
 
 @dataclass(frozen=True, kw_only=True)
 class DragChoice(SurfaceForce):
-    """Drag, and the air.
+    """Drag, with the density of the air.
 
     Attributes:
         atmosphere: exponential layers, or Harris-Priester with the bulge of the day.
-        exponent: of Harris-Priester's bulge, from 2 for low inclinations to 6 for polar orbits.
+        exponent: exponent of Harris-Priester's bulge, from 2 for low inclinations to 6 for polar orbits.
     """
 
     atmosphere: Literal["exponential", "harris_priester"] = "exponential"
@@ -127,12 +127,12 @@ class OrbitSetup:
     """Setup of an orbit determination.
 
     Attributes:
-        measurements: file of them, as `read_tracking` reads it.
-        object: name of the satellite; may be omitted if the file has only one.
-        start: where the fit begins; without it at an initial orbit by directions, and ranges if there are.
+        measurements: file in a format of `read_tracking`.
+        object: name of the satellite; may be omitted if the file contains only one.
+        start: where the fit begins; if omitted, an initial orbit from directions, and ranges if available.
         orientation: bulletins B; without them the days of astropy-iers-data.
-        stations: of each [latitude, longitude, height], degrees and m, or all that
-            `ahnn.measurements.station_file` has; or a file of them; or
+        stations: for each [latitude, longitude, height], degrees and m, or all keys of
+            `ahnn.measurements.station_file`; or a file of stations; or
         sinex: files with their coordinates and eccentricities.
         forces: forces on the satellite.
         corrections: corrections of ranges and angles.

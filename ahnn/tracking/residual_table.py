@@ -21,9 +21,9 @@ SHOWN: dict[str, tuple[str, float]] = {
 }
 """Display unit of each kind, and the factor from km, rad and km/s."""
 CERTAIN, WIDE, ALIKE = 3.0, 2.0, 0.7
-"""Standard errors of a finding; times the noise of a wide scatter; correlation of neighbours that is said."""
+"""Thresholds: standard errors of a finding, scatter relative to the noise, correlation of neighbours."""
 OPPOSITE = 0.5
-"""Fraction of a given bias within which one has its size and the other sign; an orbit takes a part of it."""
+"""Tolerance, relative to a given bias, of a bias of opposite sign; the orbit absorbs part of it."""
 FEWEST = 5
 
 
@@ -32,13 +32,13 @@ class ResidualRow(NamedTuple):
 
     Attributes:
         station, kind: their names.
-        number: of measurements.
-        mean, sd: of the residuals.
-        trend: per second, with its standard error.
-        correlation: of neighbours.
-        noise: of the fit.
-        bias: estimated, with its standard deviation; NaN where none is.
-        given: the bias that was known before the fit.
+        number: number of measurements.
+        mean, sd: moments of the residuals.
+        trend: trend per second, with its standard error.
+        correlation: correlation of neighbours.
+        noise: noise in the fit.
+        bias: estimated bias and its standard deviation; NaN if not estimated.
+        given: bias known before the fit.
     """
 
     station: str

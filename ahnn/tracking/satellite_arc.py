@@ -104,8 +104,8 @@ def satellite_arc(
 ) -> SatelliteArc:
     """Propagate an arc from an initial state, with sensitivities.
 
-    The method is that of Dormand and Prince of order 8 with its interpolant of order 7 (Hairer, Nørsett &
-    Wanner, Solving Ordinary Differential Equations I, section II.10); step control uses the state only, since
+    The method is Dormand and Prince's of order 8 with its interpolant of order 7 (Hairer, Nørsett &
+    Wanner, Solving Ordinary Differential Equations I, section II.10); step control uses only the state, since
     the sensitivities depend on the same forces.
 
     Args:

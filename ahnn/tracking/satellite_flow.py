@@ -1,4 +1,4 @@
-"""The motion of a satellite under known forces as a flow, wherever a learned one stands: filters, forecasts.
+"""Flow of a satellite under known forces, usable like a learned flow in filters and forecasts.
 
 States are [position, velocity, parameters of the forces, constants], shape (B, D), km and km/s in GCRF;
 other estimated quantities follow the orbit and are constant. Time counts from the epoch of the forces.
@@ -20,16 +20,16 @@ from ahnn.types import TimeStep
 
 Array = NDArray[np.float64]
 SIZE = 6
-"""Components of position and velocity."""
+"""Number of components of position and velocity."""
 
 
 class SatelliteFlow:
     """The flow of forces; it depends on time.
 
     Args:
-        forces: on the satellite.
+        forces: forces on the satellite.
         known: values of all their parameters, (P,).
-        free: which of them are components of the state, (P,) bool; the others keep their value.
+        free: mask of the parameters in the state, (P,) bool; all other parameters keep their value.
     """
 
     clock = 1
@@ -38,11 +38,11 @@ class SatelliteFlow:
         self.forces, self.known, self.free = forces, known, free
 
     def at(self, time: float | Tensor) -> SatelliteStep:
-        """Return the flow from an instant on."""
+        """Return the flow from an instant."""
         return SatelliteStep(self, float(time))
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
-        """Return the states after dt from time zero on."""
+        """Return the states after dt from time zero."""
         return self.at(0.0)(x, dt)
 
     def parameters(self, x: Array) -> Array:
@@ -53,11 +53,11 @@ class SatelliteFlow:
 
 
 class SatelliteStep(NamedTuple):
-    """The flow of forces from an instant on.
+    """The flow of forces from an instant.
 
     Attributes:
-        flow: of the forces.
-        time: of the instant, seconds after the epoch.
+        flow: flow of the forces.
+        time: time of the instant, seconds after the epoch.
     """
 
     flow: SatelliteFlow
@@ -67,7 +67,7 @@ class SatelliteStep(NamedTuple):
         """Return the states (B, D) after dt, all of them by the same steps (see `satellite_arc`).
 
         Raises:
-            TrainingError: they cannot be continued, as of a satellite that falls into the Earth.
+            TrainingError: a state cannot be propagated, for example of a satellite that falls into the Earth.
         """
         before, length = x.detach().numpy(), float(dt)
         forces, p, shape = self.flow.forces, self.flow.parameters(before), (len(before), SIZE)

@@ -1,7 +1,7 @@
-"""Source of trainings on what stations measured: ranges, angles and range rates of satellites in files.
+"""Source for training on station measurements: ranges, angles and range rates of satellites in files.
 
 States are in the true equator of date, about whose pole the Earth turns (CIRS): precession, nutation, polar
-motion and refraction are not modelled, as by `ahnn.measurements.GroundStation`.
+motion and refraction are not modelled, as in `ahnn.measurements.GroundStation`.
 """
 
 from __future__ import annotations
@@ -37,21 +37,22 @@ FRAME = Reference("CIRS", "EARTH", "UTC")
 
 @checked
 class Sightings:
-    """Trajectories of satellites as stations measured them, per unit mass.
+    """Trajectories of satellites from station measurements, per unit mass.
 
     Args:
         name: name of the data, in folders and tables.
-        path: path of one or several files, as `read_tracking` reads them; each satellite of a file is a
+        path: path of one or several files, in the formats of `read_tracking`; each satellite of a file is a
             trajectory.
-        stations: file of the stations, see `ahnn.measurements.station_file`: what one has a noise of counts.
-        cut: number of times of the segments into which trajectories are cut; None for no cutting.
+        stations: file of the stations, see `ahnn.measurements.station_file`; only measurements with a stated
+            noise are used.
+        cut: number of times of the segments into which trajectories are cut; None: not cut.
         gap: multiple of the median step that counts as a gap, for times not on a grid.
 
     Attributes:
-        measurement: the stations that the files name, side by side.
+        measurement: the stations named in the files, side by side.
 
     Raises:
-        UserError: a file that cannot be read, a station that is not known, or nothing that counts.
+        UserError: a file that cannot be read, an unknown station, or no measurement with a stated noise.
     """
 
     truth: System | None = None
@@ -116,7 +117,7 @@ class Sightings:
             if name in data.stations and station.event != data.event:
                 message = (
                     f"stations: {name}.event: expected {data.event}, as {file}; received {station.event}. "
-                    "Say it in the file of the stations, or in a sidecar of the measurements"
+                    "State it in the file of the stations, or in a sidecar of the measurements"
                 )
                 raise UserError(message)
             columns[name] = {k: first + c for c, k in enumerate(station.kept)}
@@ -128,13 +129,13 @@ class Sightings:
                     unused |= {f"{name}.{kind}"} if len(own) else set()
                     continue
                 if len(np.unique(row[own])) < len(own):
-                    message = f"{file}: expected {kind} of {name} once at each time; received one twice"
+                    message = f"{file}: expected {kind} of {name} once at each time; received two"
                     raise UserError(message)
                 values[row[own], columns[name][k]] = data.values[own, k]
         if unused:
             log.warning("%s: not used, since its noise is not given: %s", file, ", ".join(sorted(unused)))
         if np.isfinite(data.deviations).any():
-            log.warning("%s: its standard deviations are not used; those of the stations are", file)
+            log.warning("%s: its standard deviations are ignored; the noise of the stations is used", file)
         after = (data.epoch - epoch) / SECOND
         return Track(data.object, file, np.arange(1, len(times) + 1), times + after, values)
 

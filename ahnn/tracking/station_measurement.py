@@ -1,7 +1,7 @@
 """Station as a measurement model of filters: predicted measurements of a state at a reading's time.
 
 Light reaches the satellite up to a second before or after the time tag of a reading. Over that
-time the state moves by the Earth's attraction as of a point, to second order: to a few micrometres, and to
+time the state moves by the Earth's point-mass attraction, to second order: to a few micrometres, and to
 0.1 mm/s in range rates.
 """
 
@@ -29,7 +29,7 @@ class NearbyStates(NamedTuple):
     """States around their own time, one for each row of the measurements.
 
     Attributes:
-        time: of the states.
+        time: time of the states.
         at: (B, 6) km and km/s.
     """
 
@@ -37,7 +37,7 @@ class NearbyStates(NamedTuple):
     at: Array
 
     def states(self, times: Array) -> Array:
-        """Return the states (B, 6) at times (B,), one of each."""
+        """Return the states (B, 6) at times (B,), one per state."""
         dt, (r, v) = (times - self.time)[:, None], np.split(self.at, 2, axis=1)
         pull = -EARTH_MU * r / np.linalg.norm(r, axis=1, keepdims=True) ** 3
         return np.concatenate((r + v * dt + 0.5 * pull * dt**2, v + pull * dt), axis=1)
@@ -47,11 +47,11 @@ class StationMeasurement(Differing):
     """Measurements of states [position, velocity, ...], shape (..., D), by one station.
 
     Args:
-        model: of all measurements, whose weather and wavelength at the station count, those nearest in time.
-        station: its place among the stations of the model.
+        model: model of all measurements; the nearest weather and wavelength at the station are used.
+        station: index of the station in the model.
         kinds: measured kinds.
-        biases: for each of them the component of the state that is added to it; None where it has no bias.
-        known: for each of them a bias that is known.
+        biases: for each measurement, the state component that is added to it; None without bias.
+        known: known bias of each measurement.
     """
 
     def __init__(

@@ -15,7 +15,7 @@ PASS = 10.0
 LONGEST = 1200.0
 """Step in seconds that always separates two passes."""
 FASTEST = 12.0
-"""Velocity in km/s above that of any Earth satellite."""
+"""Velocity in km/s that no Earth satellite reaches."""
 STANDS_OUT = 15.0
 """Outlier criterion: ratio of the distance from the neighbours to the median one of the pass."""
 CLEARLY = 3.0

@@ -1,7 +1,7 @@
-"""Which mistake explains residuals that are no noise: what would fit if it were undone.
+"""Search for the mistake that explains residuals that are not noise: undoing it gives a fit.
 
-Stations that stand elsewhere and angles in another unit are undone and fitted again. A rotation of the Earth,
-as from UTC given as UT1, is a further unknown of the linearised measurements (a score test: Rao 1948);
+Wrong station positions and units of angles are corrected and fitted again. A rotation of the Earth, for
+example from UTC given as UT1, is a further unknown of the linearised measurements (a score test: Rao 1948);
 ranges, rates, azimuths and elevations rotate with the stations and do not show it, but right ascensions do.
 """
 
@@ -24,21 +24,21 @@ from ahnn.tracking.tracking_model import ANGLES
 
 Array = NDArray[np.float64]
 WIDE = 3.0
-"""Root mean square of residuals in standard deviations from which mistakes are looked for."""
+"""Root mean square of residuals in standard deviations above which mistakes are sought."""
 EXPLAINED = 0.2
-"""Fraction of it that is left where one is found."""
+"""Maximum fraction of it that remains if a mistake is found."""
 MOST = 4
-"""Mistakes that are undone and fitted."""
+"""Maximum number of mistakes that are undone and fitted."""
 CERTAIN = 5.0
-"""Standard deviations of a turn of the Earth that is told."""
+"""Minimum reported rotation of the Earth, in standard deviations."""
 RATE = 7.292115e-5
-"""Of the Earth, rad/s."""
+"""Rotation rate of the Earth, rad/s."""
 LARGEST = 1.0
-"""s that UT1 is from UTC at most; what is more is another mistake."""
+"""Maximum of UT1 - UTC in s; a larger difference is another mistake."""
 TURN = 0.1
-"""s by which the Earth is turned for a difference."""
+"""Rotation of the Earth in s for difference quotients."""
 SAME = 1e-3
-"""s to which values of UT1 - UTC are the same."""
+"""Difference in s below which values of UT1 - UTC agree."""
 DEGREE = np.pi / 180
 
 
@@ -46,8 +46,8 @@ class Turned(NamedTuple):
     """The Earth, turned further.
 
     Attributes:
-        rotation: that is turned.
-        seconds: of UT1.
+        rotation: rotation to turn.
+        seconds: change of UT1 in s.
     """
 
     rotation: EarthRotation
@@ -66,9 +66,9 @@ def suspected_mistakes(
     """Return sentences on suspected mistakes; none if residuals are noise.
 
     Args:
-        problem: that was fitted.
-        point: its solution; None where there is none.
-        rotation: of the Earth, as the problem has it.
+        problem: fitted problem.
+        point: its solution, or None.
+        rotation: rotation of the Earth in the problem.
     """
     found = [] if point is None else turn_of(problem, point, rotation)
     if found or (point is not None and size_of(problem, point) < WIDE):
@@ -92,7 +92,7 @@ def size_of(problem: OrbitProblem, point: LinearisedOrbit) -> float:
 def nearest_first(problem: OrbitProblem) -> list[tuple[str, OrbitProblem]]:
     """Return the mistakes whose correction brings measurements closest to the initial orbit, best first.
 
-    Others are not fitted: their paths go astray.
+    All other cases are not fitted: their paths diverge.
     """
 
     def distance(other: OrbitProblem) -> float:
@@ -106,14 +106,14 @@ def nearest_first(problem: OrbitProblem) -> list[tuple[str, OrbitProblem]]:
 
 
 def held_against(problem: OrbitProblem, point: LinearisedOrbit) -> LinearisedOrbit:
-    """Return other measurements, or stations, on the same path."""
+    """Return a point with the residuals of other measurements or stations on the same path."""
     residuals = problem.model.data.values - problem.model(point.arc).values
     residuals[:, ANGLES] = (residuals[:, ANGLES] + np.pi) % (2 * np.pi) - np.pi
     return point._replace(residuals=residuals)
 
 
 def undone(problem: OrbitProblem) -> Iterator[tuple[str, OrbitProblem]]:
-    """Yield problems in each of which one mistake is undone, and its words."""
+    """Yield problems in which one mistake is undone, each with its description."""
     model, data = problem.model, problem.model.data
     angles = np.array([kind not in ("range", "range_rate") for kind in KINDS])
     if np.isfinite(data.values[problem.used][:, angles]).any():
@@ -131,7 +131,9 @@ def undone(problem: OrbitProblem) -> Iterator[tuple[str, OrbitProblem]]:
     for s, name in enumerate(data.stations):
         used = problem.used & (data.station != s)
         if len({*data.station[used].tolist()}) == len(data.stations) - 1 > 0:
-            words = f"the others fit without {name}: it stands elsewhere, or measured another object"
+            words = (
+                f"the other stations fit without {name}: its position is wrong, or it measured another object"
+            )
             yield words, replace(problem, used=used)
 
 
@@ -165,12 +167,12 @@ def turn_of(problem: OrbitProblem, point: LinearisedOrbit, rotation: EarthRotati
 def orientation_mistake(
     used: EarthOrientation, known: EarthOrientation, rotation: EarthRotation
 ) -> list[str]:
-    """Return a sentence where UT1 - UTC is another than the IERS has it, which most residuals do not show.
+    """Return a sentence if UT1 - UTC differs from the IERS value, which most residuals do not show.
 
     Args:
-        used: orientation of the Earth as it was given.
-        known: that of the IERS.
-        rotation: of the measurements.
+        used: orientation of the Earth as given.
+        known: orientation of the Earth by the IERS.
+        rotation: rotation of the measurements.
     """
     day = rotation.day(0.5 * (rotation.first + rotation.last))
     if not known.mjd[0] <= day <= known.mjd[-1]:

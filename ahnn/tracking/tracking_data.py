@@ -60,13 +60,13 @@ def joined(one: TrackingData, other: TrackingData) -> tuple[TrackingData, NDArra
     """Return two sets of measurements of one satellite as one, with the epoch of the first.
 
     Returns:
-        The measurements, and which of them are of the first, (N,).
+        The measurements, and the mask of the first set, (N,).
 
     Raises:
         UserError: their times tag different events.
     """
     if one.event != other.event:
-        message = f"measurements: expected times of {one.event}, as before; received those of {other.event}"
+        message = f"measurements: expected times of {one.event}, as before; received times of {other.event}"
         raise UserError(message)
     times = np.concatenate((one.times, other.times + (other.epoch - one.epoch) / epochs.SECOND))
     order = np.argsort(times, kind="stable")

@@ -28,7 +28,7 @@ class BandedFactor(NamedTuple):
         """Factor positive definite covariances.
 
         Args:
-            bands: for each distance d from 0 the covariances (B, J - d, D, D) between sums j + d (rows) and
+            bands: for each distance d >= 0, the covariances (B, J - d, D, D) between sums j + d (rows) and
                 sums j (columns); more distant sums are independent.
         """
         diagonal, left = (blocks.unbind(1) for blocks in _blocks(bands))

@@ -13,7 +13,7 @@ from ahnn.files import write_atomically
 
 
 class AtomicCheckpointIO(TorchCheckpointIO):
-    """Replacement of Lightning's own, which writes to TMPDIR, possibly on another file system, and moves."""
+    """Replacement of Lightning's class, which moves files from TMPDIR, possibly on another file system."""
 
     def save_checkpoint(
         self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any | None = None

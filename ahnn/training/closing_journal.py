@@ -1,8 +1,7 @@
-"""Journal of the closing stage: results of its long computations, reused when a training is resumed.
+"""Journal of the closing stage: results of its long computations, reused when a run is resumed.
 
 The closing stage is deterministic. After an interruption it starts again, and takes each result that it finds
-in the journal instead of computing it, so that it ends with the same weights, and the same
-covariance up to rounding.
+in the journal instead of computing it, so that weights are equal, and the covariance is equal up to rounding.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ class ClosingJournal:
 
     Args:
         folder: folder of the files.
-        of: checksum of the weights with which the stage begins; results of others are replaced.
+        of: checksum of the weights with which the stage begins; results of other weights are replaced.
     """
 
     def __init__(self, folder: Path, of: str) -> None:

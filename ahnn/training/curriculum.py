@@ -18,11 +18,11 @@ from ahnn.training.shooting import Shooting
 from ahnn.training.weak import Weak
 
 RELATIVE, WEAK = "relative", "weak"
-"""Names of the stages in the weak form, on whole trajectories of measured states: first relative to the
+"""Names of the stages in the weak form, on full trajectories of measured states: first relative to the
 field, then relative to the noise.
 """
 WHOLE = "whole"
-"""Name of the stage of shooting over whole trajectories."""
+"""Name of the stage of shooting over full trajectories."""
 STAGE = (
     "intervals >= 3, relative, weak or whole, with a fraction of the epochs and optionally the segments "
     "per step"
@@ -38,7 +38,7 @@ class SegmentOptions:
         stages: list of stages: intervals per segment, or `relative`, `weak`, `whole`; the fraction of the
             epochs at which the stage ends; and optionally the segments per step, by default
             `data.batch_size`. Short segments first: an inaccurate model cannot fit long ones.
-        robust: robust loss of single residuals: none (squares), huber or student.
+        robust: robust loss of residuals: none (squares), huber or student.
         closing: maximum number of final parameter steps on all measurements, before steps in function space.
         balance: 0, since measurements are weighted by standard deviations.
 
@@ -59,8 +59,8 @@ class SegmentOptions:
             or not _covers([s[1] for s in self.stages])
         ):
             message = (
-                f"loss.stages: expected {STAGE}; fractions increase to 1, such as "
-                f"[[4, 0.6], [16, 0.8], [whole, 1.0, 40]]; received {self.stages}"
+                f"loss.stages: expected {STAGE}; fractions increase to 1, such as [[4, 0.6], [16, 0.8], "
+                f"[whole, 1.0, 40]]; received {self.stages}"
             )
             raise UserError(message)
 
@@ -77,13 +77,13 @@ class MeanSquare(nn.Module):
 
 
 class Phase(NamedTuple):
-    """Phase of a training.
+    """Phase of the training.
 
     Attributes:
         until: fraction of the epochs at which it ends.
         objective: objective minimised in the phase.
         stretches: number of segments per step; None for the batch size of the data.
-        left: minimum number of epochs for what follows.
+        left: minimum number of epochs for later phases.
     """
 
     until: float
@@ -113,7 +113,7 @@ class Curriculum:
         return self._phase(epoch, epochs).objective
 
     def intervals(self, epoch: int, epochs: int) -> int | None:
-        """Return the number of intervals per segment in an epoch; None for whole trajectories."""
+        """Return the number of intervals per segment in an epoch; None: full trajectories."""
         return cast(Shooting | Weak, self.at(epoch, epochs)).intervals
 
     def stretches(self, epoch: int, epochs: int) -> int | None:
@@ -126,7 +126,7 @@ class Curriculum:
 
 
 def make_curriculum(size: int, window: int, options: dict[str, Any]) -> tuple[nn.Module, Curriculum]:
-    """Build the loss for states of D = size components, and the objectives of a training.
+    """Build the loss for states of D = size components, and the objectives of the training.
 
     Args:
         size: number D of state components.
@@ -162,8 +162,8 @@ def named(loss: Loss, window: int) -> Objective:
     name, options = loss.options.objective, loss.options.options
     if name not in OBJECTIVES:
         message = (
-            f"loss.objective: expected one of {', '.join(OBJECTIVES)}; received {name!r}. Others are "
-            f"those of installed packages that declare them in the entry-point group {OBJECTIVES.group}"
+            f"loss.objective: expected one of {', '.join(OBJECTIVES)}; received {name!r}. Installed "
+            f"packages add objectives in the entry-point group {OBJECTIVES.group}"
         )
         raise UserError(message)
     check_arguments("loss.options", OBJECTIVES[name], options, ("loss", "window"))
@@ -171,7 +171,7 @@ def named(loss: Loss, window: int) -> Objective:
 
 
 def staged(options: SegmentOptions) -> Curriculum:
-    """Build a curriculum of shooting over growing segments, validated on whole trajectories."""
+    """Build a curriculum of shooting over growing segments, validated on full trajectories."""
     stages = cast("list[tuple[int | str, float, int]]", options.stages)
     phases = [Phase(until, objective_of(name, options.robust), *more) for name, until, *more in stages]
     return Curriculum(phases, Shooting(None, options.robust), None, options.closing)

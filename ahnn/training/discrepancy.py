@@ -2,7 +2,8 @@
 
 Early in training the error of the field is proportional to the field, not to the noise: where forces are
 large, residuals are thousands of standard deviations, and least squares weighted by noise would ignore all
-others. With an unknown relative error e, a sum with noise variance c and field contribution g has variance
+other residuals. With an unknown relative error e, a sum with noise variance c and field contribution g has
+variance
 
     c + e^2 g^2,
 
@@ -27,7 +28,7 @@ def share(residuals: Tensor, effects: Tensor, noise: Tensor, there: Tensor) -> f
     """Return e >= 0 for which half of the residuals are within `MEDIAN` deviations.
 
     Args:
-        residuals: residuals of sums, shape (B, J, M), in standard deviations of single measurements.
+        residuals: residuals of sums, shape (B, J, M), in standard deviations of individual measurements.
         effects: g^2, (B, J, M), squared field contributions.
         noise: c, (B, J, M) or (1, J, M), variances of the sums of unit noise.
         there: (B, J) or (1, J) bool, whether a sum is available.

@@ -1,4 +1,4 @@
-"""The last steps of a training whose noise is not known: fit, estimate the noise that is left, fit again."""
+"""Final steps of training with unknown noise: fit, estimate the noise from the residuals, fit again."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from ahnn.uncertainty import Uncertainty
 log = logging.getLogger("ahnn")
 
 ROUNDS = 3
-"""Fits, at most."""
+"""Maximum number of fits."""
 SETTLED = 0.05
-"""Change of a standard deviation, a fraction or a memory that is not worth another fit, relative."""
+"""Relative change of a standard deviation, fraction or memory below which no further fit is made."""
 PATHS, SAMPLES = 100, 400
-"""Trajectories, and measurements of each, that noise is estimated from, at most."""
+"""Maximum numbers of trajectories, and of measurements of each, for the noise estimate."""
 NO_NOISE = 10.0
-"""Times the standard deviations of before beyond which residuals are errors of the dynamics, and no noise."""
+"""Ratio to the previous standard deviations above which residuals are errors of the dynamics, not noise."""
 FAR = 6.0
-"""Robust standard deviations beyond which a robust training leaves residuals out."""
+"""Robust standard deviations beyond which robust training omits residuals."""
 
 
 @torch.no_grad()
@@ -42,7 +42,7 @@ def conclude_with_noise(
     robust: RobustName,
     unknown: UnknownNoise,
 ) -> tuple[Uncertainty | None, NoiseEstimate | None]:
-    """Take the last steps as `conclude`, and return also the noise that was found where it was unknown."""
+    """Take the final steps like `conclude`, and also return the estimate of unknown noise."""
     if not unknown.anything:
         return conclude(dynamics, train, held_out, steps, robust), None
     stated = train.instrument.deviations
@@ -81,7 +81,7 @@ def is_noise(noise: FoundNoise, chi_square: float) -> bool:
 
 
 def biases_of(found: Uncertainty) -> Tensor | None:
-    """Return the biases (M,) that a fit found, if any was unknown."""
+    """Return the biases (M,) found by a fit, if any was unknown."""
     given = found.about.get("bias")
     return None if given is None else torch.tensor(given, dtype=torch.float64)
 
@@ -93,9 +93,9 @@ def estimated(
 
     Args:
         dynamics: float64 dynamics fitted to all measurements.
-        train: with the stated white noise.
+        train: training segments with the stated white noise.
         robust: the loss of the fit.
-        determined: number of parameters that the measurements determine, which made residuals smaller.
+        determined: number of parameters determined by the measurements, which made residuals smaller.
         unknown: noise parameters to be estimated.
     """
     some = train.first(SAMPLES).rows(slice(None, None, -(-len(train.times) // PATHS)))

@@ -1,4 +1,4 @@
-"""Region covered by a training on measurements: states along the fitted paths.
+"""Region covered by training on measurements: states along the fitted paths.
 
 Before training, paths are known only from smoothed measurements, which are missing where samples are sparse,
 as near a perigee.
@@ -25,7 +25,7 @@ def fitted_states(dynamics: Dynamics, train: Segment, robust: RobustName) -> Ten
     Args:
         dynamics: float64 dynamics with a field.
         train: all training measurements.
-        robust: robust loss of single residuals.
+        robust: robust loss of residuals.
     """
     some = train.rows(slice(None, None, -(-len(train.times) // PATHS)))
     problem = whole_problem(dynamics, some, ROBUST[robust])

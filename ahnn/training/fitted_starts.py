@@ -1,8 +1,8 @@
-"""Windows as a flow predicts them from the starts that fit them best, linearised about their samples.
+"""Predictions of windows from their best-fitting starts, linearised about their samples.
 
-A state that is given, as by an analytical theory, need not be the one from which a flow predicts best. Here a
-start is fitted to the positions of its window, and what the fit leaves is minimised. About exact samples x_k
-the deviation e of a prediction obeys, up to its square,
+A given state, for example from an analytical theory, need not be the state from which a flow predicts best.
+Here a start is fitted to the positions of its window, and the residuals of the fit are minimised. About exact
+samples x_k the deviation e of a prediction obeys, up to its square,
 
     e_{k+1} = M_k e_k + d_k,    d_k = F(x_k) - x_{k+1},    M_k = F'(x_k),
 
@@ -33,9 +33,9 @@ from ahnn.training.loss import Loss
 from ahnn.types import Window
 
 WIDE = torch.float64
-"""Of Jacobians: a start makes up for most of what parameters do."""
+"""Type of Jacobians: a start compensates for most effects of parameters."""
 APART = 4
-"""Samples between positions that are compared; those between tell the same."""
+"""Samples between positions that are compared; positions in between are redundant."""
 TOGETHER = 4
 """Windows whose derivatives by parameters are formed at once, to save memory."""
 
@@ -43,7 +43,7 @@ TOGETHER = 4
 @checked
 @dataclass(frozen=True, eq=False)
 class FittedStarts:
-    """Positions of whole windows less those predicted from the starts that fit them best.
+    """Errors of positions predicted over entire windows from best-fitting starts.
 
     Attributes:
         loss: residual units.
@@ -65,7 +65,7 @@ class FittedStarts:
 
         @torch.no_grad()
         def residuals(theta: Tensor) -> Tensor:
-            # About new Jacobians: a deviation of kilometres times their change grows along an orbit.
+            # With new Jacobians: their change times a deviation of kilometres grows along an orbit.
             moved = copy.deepcopy(dynamics)
             vector_to_parameters(theta, moved.parameters())
             return self.residuals(moved, batch).flatten()
@@ -77,7 +77,7 @@ class FittedStarts:
         return LeastSquares(residuals, jacobian)
 
     def divided(self, batch: Window) -> tuple[Window, None]:
-        """Return the whole batch for the step: fitted starts need no check."""
+        """Return the entire batch for the step: fitted starts need no check."""
         return batch, None
 
     @torch.no_grad()
@@ -130,7 +130,7 @@ class AboutSamples:
         return (increments - self.target).view(self.shape)
 
     def left(self, defects: Tensor) -> Tensor:
-        """Return what the best starts leave of positions, shape (B, K n), from d_k, (B, W, D)."""
+        """Return the residuals of positions from the best starts, shape (B, K n), from d_k, (B, W, D)."""
         off = torch.zeros_like(defects[:, 0])
         path = [off]
         for step, defect in zip(self.jacobians.unbind(1), defects.unbind(1), strict=True):
@@ -140,7 +140,7 @@ class AboutSamples:
         return self._without_starts(rows.flatten(1).unsqueeze(-1)).squeeze(-1)
 
     def of_parameters(self, forcing: Tensor, part: slice) -> Tensor:
-        """Return derivatives of residuals of some windows, (N, P), from those of the field."""
+        """Return derivatives of residuals of some windows, (N, P), from the derivatives of the field."""
         found = sensitivities(self.jacobians[part], forcing, self.steps.rows(part))[:, :, : self.dof]
         return self._without_starts((found * self.weight[:, None]).flatten(1, 2), part).flatten(0, 1)
 

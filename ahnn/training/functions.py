@@ -24,7 +24,7 @@ from ahnn.training.maximum_posterior import PosteriorPoint, WideProblem, after, 
 ARRIVED = 0.05
 """Squared length of the remaining step, or decrease by the last one, below which the iteration stops.
 
-In units of the contribution of noise alone: 1 for each parameter determined by the data.
+In units of the contribution of noise: 1 for each parameter determined by the data.
 """
 MATRICES, STEPS = 3, 4
 """Maximum number of normal equations, and of steps in function space with each of them."""

@@ -16,7 +16,7 @@ from ahnn.errors import UserError
 class ExpHyperbolicLR(LRScheduler):
     """eta(n) = eta_0 (eta_0 / eta_inf)^(h(n) - h(0)), h(n) = sqrt((N - n)/U (2 - (N + n)/U)).
 
-    The initial slope depends on U and hardly on N, so settings found in short trainings apply to long ones.
+    The initial slope depends on U and hardly on N, so settings found in short runs apply to long runs.
     The infimum is reached only for U = N.
 
     Args:

@@ -46,7 +46,7 @@ def require_identifiable(dynamics: Dynamics, sensor: Sensor, *, windows: bool) -
 def require_unbiased(balance: float) -> None:
     """Check that windows of measured states are not weighted by their own noisy increments.
 
-    A weight that depends on the noise of its own residual favours samples by their noise, and biases the fit
+    A weight that depends on the noise of its residual favours samples by their noise, and biases the fit
     for any number of samples.
 
     Raises:

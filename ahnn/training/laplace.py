@@ -1,4 +1,4 @@
-"""Final steps of a training on measurements, and Laplace's approximation of the parameter covariance.
+"""Final steps of training on measurements, and Laplace's approximation of the parameter covariance.
 
 With all measurements in every step there is no mini-batch noise, and Gauss-Newton steps on residuals and
 prior converge to the optimum. In parameter space they follow a curved valley in many short steps, so the last
@@ -53,14 +53,14 @@ With 95 % the noise of held-out measurements would widen the bands of one correc
 def conclude(
     dynamics: Dynamics, train: Segment, held_out: Segment, steps: int, robust: RobustName = "none"
 ) -> Uncertainty | None:
-    """Take the final steps of a training and return the covariance of the resulting parameters.
+    """Take the final steps of the training and return the covariance of the resulting parameters.
 
     Args:
         dynamics: float64 dynamics with a field, updated in place.
         train: all training measurements.
         held_out: measurements not used by any step.
         steps: maximum number of steps.
-        robust: robust loss of single residuals.
+        robust: robust loss of residuals.
 
     Returns:
         None if no trajectory is explained; the parameters are then unchanged.
@@ -68,7 +68,7 @@ def conclude(
     found = _concluded(dynamics, train, held_out, steps, robust)
     if found is None:
         return None
-    learned, _ = found.taken(dynamics)  # the step in function space may be what fits them
+    learned, _ = found.taken(dynamics)  # the step in function space may have fitted them
     return replace(found, directions=least_told(dynamics, found.spread, train, robust, learned))
 
 
@@ -183,7 +183,7 @@ class Noise(NamedTuple):
 
 
 def scatter(sums: Tensor, degrees: Tensor) -> float:
-    """Estimate the variance of a residual's contribution to the sum from that of whole segments.
+    """Estimate the variance of a residual's contribution to the sum from the sums of segments.
 
     For squares of normal residuals of variance v it is 2 v^2, the lower limit of the result, since a few
     segments may agree by chance. Outliers make it several times larger, even with a robust loss.
@@ -242,6 +242,6 @@ def held_out_scale(factor: Tensor, test: Equations, noise: float, scatter: float
     beyond = excess**2 - REFUSED**2 * test.degrees * scatter
     if excess <= 0 or beyond <= 0:
         return 1.0
-    # Root of a f^2 - 2 b f + c = 0, below which noise alone explains more than observed.
+    # Root of a f^2 - 2 b f + c = 0; below it, noise alone would explain more than is observed.
     a, b = expected**2 - 2 * REFUSED**2 * squares, expected * (excess + 2 * REFUSED**2 * noise)
     return max(1.0, beyond / (b + (b**2 - a * beyond) ** 0.5))

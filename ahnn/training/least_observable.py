@@ -28,8 +28,8 @@ def least_told(
         dynamics: float64 dynamics with a field, whose parameters these are.
         spread: L, shape (P, R); L L^T is the covariance of the parameters.
         train: all training measurements.
-        robust: robust loss of single residuals.
-        learned: the dynamics after a step in function space, which may be what fits; None without one.
+        robust: robust loss.
+        learned: the dynamics after a step in function space, which may fit better; None without such a step.
 
     Returns:
         None if they fit none of these trajectories.

@@ -70,7 +70,7 @@ def pointwise_problem(
     weights: Tensor,
     jacobian: Callable[[Tensor, Tensor, Tensor], Tensor] | None = None,
 ) -> LeastSquares:
-    """Return the problem of fitting a function of single states.
+    """Return the problem of fitting a function of the state.
 
     Args:
         module: module whose parameters are the unknowns.

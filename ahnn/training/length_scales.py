@@ -1,4 +1,4 @@
-"""Length scales of a Gaussian process by maximum evidence, before the final steps of a training.
+"""Length scales of a Gaussian process by maximum evidence, before the final steps of the training.
 
 Parameter steps fit lengths like weights: shorter lengths fit more of the noise. The evidence p(measurements |
 lengths, strength), with weights integrated out, is largest for the smoothest process that the measurements
@@ -52,7 +52,7 @@ def choose_lengths(dynamics: Dynamics, train: Segment, robust: Robust) -> None:
     Args:
         dynamics: dynamics with a field; unchanged without waves.
         train: all training measurements.
-        robust: robust loss of single residuals.
+        robust: robust loss of residuals.
     """
     waves = [module for module in dynamics.modules() if isinstance(module, Waves)]
     if not waves:

@@ -1,4 +1,4 @@
-"""Segments of measurements in a fit: degrees of freedom, which converged, how much a single one counts."""
+"""Segments of measurements in a fit: degrees of freedom, convergence, and limit of their cost."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ def freedom(batch: Segment) -> Tensor:
 
 
 def near(sums: Tensor, degrees: Tensor, hopeless: float = HOPELESS) -> Tensor:
-    """Return which segments converged, (B,) bool: none beyond `hopeless`, whose derivatives mean nothing."""
+    """Return which segments converged, (B,) bool: none beyond `hopeless`, with meaningless derivatives."""
     return (sums <= hopeless * degrees) & (degrees > 0)
 
 
 class Limit(NamedTuple):
-    """Cost limit of single segments, which would dominate all others for inaccurate dynamics.
+    """Cost limit per segment: for inaccurate dynamics a few segments would dominate the sum.
 
     Attributes:
-        most: (B,) sum of squares up to which a segment counts as it is; beyond, by its logarithm.
+        most: (B,) sum of squares beyond which a segment counts only logarithmically.
     """
 
     most: Tensor

@@ -27,7 +27,7 @@ from ahnn.training.shooting import ShootingProblem
 class WideProblem(ShootingProblem):
     """Shooting problem with float64 normal equations, which preserve poorly determined directions.
 
-    Unknown biases of the sensor are eliminated from them; `shared` has these once equations are found.
+    Unknown biases of the sensor are eliminated from them; `shared` contains these once equations are found.
     """
 
     precision = torch.float64
@@ -35,7 +35,7 @@ class WideProblem(ShootingProblem):
 
     @torch.no_grad()
     def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
-        """Return loss and normal equations, starts and biases eliminated."""
+        """Return loss and normal equations without starts and biases."""
         if not len(self.starts):
             return super().equations(theta, sizes)
 
@@ -66,12 +66,12 @@ class WideProblem(ShootingProblem):
 
     @property
     def cost(self) -> Tensor:
-        """The sum of squared residuals at the parameters of the dynamics, of the best biases."""
+        """The sum of squared residuals at the parameters of the dynamics, for the best biases."""
         return self._with_best_biases(super().cost, self.fitted.rows(self.kept))
 
     @torch.no_grad()
     def loss(self, theta: Tensor) -> Tensor:
-        """Return the sum of squared residuals, each segment from its best start, of the best biases."""
+        """Return the sum of squared residuals, each segment from its best start, for the best biases."""
 
         def compute() -> dict[str, Tensor]:
             plain = super(WideProblem, self).loss(theta)
@@ -82,13 +82,13 @@ class WideProblem(ShootingProblem):
 
     @torch.no_grad()
     def gradient(self, theta: Tensor) -> Tensor:
-        """Return J^T r, shape (P,), as `ShootingProblem.gradient`."""
+        """Return J^T r, shape (P,), like `ShootingProblem.gradient`."""
         return kept("gradient", lambda: {"gradient": super(WideProblem, self).gradient(theta)})["gradient"]
 
     def fit(
         self, trial: Trial, starts: Tensor | None, batch: Segment, steps: Steps, hopeless: float
     ) -> Fitted:
-        """Fit the initial states; with a journal their paths follow from them alone, so that bits agree."""
+        """Fit the initial states; with a journal their paths follow only from them, so that bits agree."""
         return self._paths(
             trial, lambda: super(WideProblem, self).fit(trial, starts, batch, steps, hopeless), batch, steps
         )
@@ -110,7 +110,7 @@ class WideProblem(ShootingProblem):
         return loss if self.shared is None else loss - self.shared.gain(self.pull(fitted))
 
     def pull(self, fitted: Fitted) -> Tensor:
-        """Return the gradient (K,) in the biases, of segments from the starts that fit them best."""
+        """Return the gradient (K,) with respect to the biases, with each segment from its best start."""
         rows = self.batch.white_residuals(fitted.states[:, self.steps.ends])
         weight = self.robust.weight(rows) * self.limit.weight(fitted.sums)[:, None, None]
         return pull_of(rows * weight, self.batch)

@@ -1,8 +1,8 @@
 """Noise of residuals: standard deviations and coloured part, by restricted maximum likelihood.
 
-Residuals r of a segment are noise less what D unknowns of its start have taken of it. With X the derivatives
-of residuals by these and V the covariance of the noise, twice the negative log likelihood of what no start
-can explain is
+Residuals r of a segment are noise minus the part absorbed by D unknowns of its start. With X the derivatives
+of residuals by these and V the covariance of the noise, twice the negative log likelihood of the part that no
+start can explain is
 
     log det V + log det(X^T V^-1 X) + r^T V^-1 r - b^T (X^T V^-1 X)^-1 b,    b = X^T V^-1 r
 
@@ -21,7 +21,7 @@ from torch import Tensor
 from ahnn.measurements.coloured_noise import Colour, Whitening
 
 TELLING = 12.0
-"""Twice the gain in log likelihood from which noise is coloured; chance gains as much in 0.25 % of cases."""
+"""Twice the gain in log likelihood above which noise is coloured; it occurs by chance in 0.25 % of cases."""
 MEMORIES = (2.0, 10.0)
 """Initial memory of the search, in typical intervals."""
 SHORTEST, LONGEST = 0.3, 3.0
@@ -29,9 +29,9 @@ SHORTEST, LONGEST = 0.3, 3.0
 STEEP = 12.0
 """Limit of the logit of the coloured fraction, on either side."""
 ENOUGH = 0.05
-"""Twice the log likelihood that is not worth another step."""
+"""Gain in twice the log likelihood below which the search ends."""
 RIDGE = 1e-12
-"""Added to correlations of the unknowns of a start, of which some may not be seen."""
+"""Added to correlations of the unknowns of a start, some of which may be unobservable."""
 
 
 class Residuals(NamedTuple):
@@ -41,7 +41,7 @@ class Residuals(NamedTuple):
         rows: (B, T, M).
         of_start: their derivatives with respect to the starts, (B, T, M, D).
         times: (B, T).
-        there: which numbers were measured, (B, T, M) bool.
+        there: mask of the measured numbers, (B, T, M) bool.
     """
 
     rows: Tensor
@@ -54,8 +54,8 @@ class FoundNoise(NamedTuple):
     """Noise of M numbers.
 
     Attributes:
-        scales: standard deviations, in stated ones, (M,).
-        colour: None where it is white.
+        scales: standard deviations, relative to the stated ones, (M,).
+        colour: coloured part; None for white noise.
     """
 
     scales: Tensor
@@ -63,7 +63,7 @@ class FoundNoise(NamedTuple):
 
 
 def restricted(left: Residuals, scales: Tensor, colour: Colour | None) -> Tensor:
-    """Return twice the negative log likelihood of some noise, but for a constant."""
+    """Return twice the negative log likelihood of given noise, up to a constant."""
     rows = torch.cat((left.rows.unsqueeze(-1), left.of_start), dim=-1)
     volume = 2 * (left.there.sum((0, 1)) * scales.log()).sum()
     if colour is not None:
@@ -85,7 +85,7 @@ def most_likely(left: Residuals, *, sizes: bool, correlation: bool) -> FoundNois
     Args:
         left: residuals of the fit.
         sizes: whether standard deviations are unknown; else they are the stated ones.
-        correlation: whether a coloured part is looked for.
+        correlation: whether to search for a coloured part.
     """
     count = left.rows.shape[-1]
     stated = torch.ones(count, dtype=left.rows.dtype)
@@ -100,7 +100,7 @@ def most_likely(left: Residuals, *, sizes: bool, correlation: bool) -> FoundNois
     def searched(
         begin: list[float], limits: list[tuple[float, float]], coloured: bool
     ) -> tuple[float, Tensor]:
-        from scipy.optimize import minimize  # a fifth of a second, which other trainings do not need
+        from scipy.optimize import minimize  # takes a fifth of a second, only when needed
 
         def value(found: np.ndarray) -> tuple[float, np.ndarray]:
             at = torch.tensor(found, requires_grad=True)

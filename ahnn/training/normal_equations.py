@@ -30,7 +30,7 @@ class Block(NamedTuple):
         columns: indices of the parameters, shape (K,).
         matrix: J^T J, shape (K, K).
         gradient: J^T r, shape (K,).
-        units: of the parameters, shape (K,), by which sizes of steps compare; None for ones.
+        units: units of the parameters, shape (K,), in which sizes of steps are compared; None: all 1.
     """
 
     columns: Tensor

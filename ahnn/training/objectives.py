@@ -93,7 +93,7 @@ class Recursive:
         return recursive_problem(dynamics, dynamics.increment, batch, weights, dynamics.clock)
 
     def divided(self, batch: Window) -> tuple[Window, Window]:
-        """Split off 1/(5 W) of the windows, so that the number of residuals equals that for single steps."""
+        """Split off 1/(5 W) of the windows, so that there are as many residuals as for single steps."""
         return divided(batch, PARTS * self.window)
 
     def validation(self, dynamics: Dynamics, batch: Window) -> dict[str, Tensor]:

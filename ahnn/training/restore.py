@@ -1,4 +1,4 @@
-"""Check that a training can resume from a checkpoint, made on copies before the training is modified."""
+"""Check that a run can resume from a checkpoint, made on copies before the run is modified."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NEEDED |= {"epoch": int, "global_step": int}
 
 
 def require_resumable(path: Path, model: Any, trainer: Any) -> None:
-    """Check that a checkpoint is present, intact, and of the same training.
+    """Check that a checkpoint is present, intact, and of the same training run.
 
     Args:
         path: path of the checkpoint.
@@ -54,7 +54,7 @@ def require_restorable(who: str, model: Any, trainer: Any, content: dict[str, An
         UserError: a tensor has a different name, shape or type, or a part is missing.
     """
     if missing := [key for key, kind in NEEDED.items() if not isinstance(content.get(key), kind)]:
-        message = f"{who}: expected one to resume from; received one without {', '.join(missing)}"
+        message = f"{who}: expected a complete checkpoint; received one without {', '.join(missing)}"
         raise UserError(message)
     fresh, stepped = _optimisation(model), _optimisation(model)
     try:
@@ -65,7 +65,9 @@ def require_restorable(who: str, model: Any, trainer: Any, content: dict[str, An
         needed = {n for n in known if not n.startswith(STATES) or n.rpartition(".")[0] in owners}
         wrong = sorted(name for name in needed | found.keys() if known.get(name) != found.get(name))
         if wrong:
-            message = f"{who}: expected the shapes of this model; received others of {', '.join(wrong)}"
+            message = (
+                f"{who}: expected the shapes of this model; received different shapes of {', '.join(wrong)}"
+            )
             raise UserError(message)
         for part, states in zip(fresh, (content[STATES], content["lr_schedulers"]), strict=False):
             part.load_state_dict(states[0])
@@ -78,7 +80,7 @@ def require_restorable(who: str, model: Any, trainer: Any, content: dict[str, An
     except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
         if isinstance(error, UserError):
             raise
-        message = f"{who}: expected one to resume from; received an incomplete one: {error!r}"
+        message = f"{who}: expected a complete checkpoint; received {error!r}"
         raise UserError(message) from error
 
 

@@ -1,4 +1,4 @@
-"""Runtime estimate of a training, measured on a few of its own steps in advance."""
+"""Runtime estimate of a training run, measured on a few of its steps in advance."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ STRETCHES, STRETCH = 300, 64
 def expected_seconds(
     trainer: Any, data: WindowDataModule, model: Any, per_epoch: int, epochs: range
 ) -> float:
-    """Estimate the remaining time of a training in seconds: steps, validations and callbacks.
+    """Estimate the remaining time of a run in seconds: steps, validations and callbacks.
 
     Args:
         trainer: trainer with all callbacks; a callback's method `seconds` returns its cost per epoch.
@@ -89,7 +89,7 @@ def shooting_seconds(model: Any, data: WindowDataModule) -> float:
 
 
 def amounts(data: WindowDataModule, per_epoch: int, epochs: range) -> list[int]:
-    """Return the work per epoch, validation included: number of measurement times, or 1 without stages."""
+    """Return the work per epoch, including validation: number of measurement times, or 1 without stages."""
     if getattr(data, "stages", None) is None:
         return [1] * len(epochs)
     loader, found = data.train_dataloader(), []
@@ -101,7 +101,7 @@ def amounts(data: WindowDataModule, per_epoch: int, epochs: range) -> list[int]:
 
 
 def _validation_seconds(model: Any, data: WindowDataModule) -> float:
-    """Return the time of a validation, from that of its first batch."""
+    """Return the time of a validation, from its first batch."""
     loader = data.val_dataloader()
     draw = loader.batches()[0]
 

@@ -1,4 +1,4 @@
-"""Constant errors of a sensor, the same in all segments, eliminated from normal equations as starts are.
+"""Constant sensor biases, common to all segments, eliminated from normal equations like the starts.
 
 With K biases b in addition to the parameters, normal equations have the blocks (A, C; C^T, B) and gradients
 (g, h). A normal prior adds its precision to B, S = B + diag(1 / sd^2), and the corresponding term to h. The
@@ -22,9 +22,9 @@ class SharedBias(NamedTuple):
     """K biases, linearised.
 
     Attributes:
-        places: which of the M numbers have one, (K,).
+        places: indices of the numbers with a bias, (K,).
         value: b, (K,), in the units of the measurements.
-        precision: of the prior, (K,), about zero.
+        precision: precision of the prior about zero, (K,).
         matrix: S, (K, K).
         coupling: C, (P, K), of P parameters.
     """
@@ -36,11 +36,11 @@ class SharedBias(NamedTuple):
     coupling: Tensor
 
     def gain(self, pull: Tensor) -> Tensor:
-        """Return by how much the best biases lower the sum of squares, their prior counted, from h (K,)."""
+        """Return the decrease of the sum of squares, including the prior, by the best biases, from h (K,)."""
         return pull @ torch.linalg.solve(self.matrix, pull) - self.precision @ self.value.square()
 
     def gradient(self, gradient: Tensor, pull: Tensor) -> Tensor:
-        """Return the gradient (P,) that is left of g (P,) and h (K,)."""
+        """Return the reduced gradient (P,) from g (P,) and h (K,)."""
         return gradient - self.coupling @ torch.linalg.solve(self.matrix, pull)
 
     def best(self, pull: Tensor, factor: Tensor, inflation: float) -> tuple[Tensor, Tensor]:
@@ -58,7 +58,7 @@ class SharedBias(NamedTuple):
 
 
 def unknown_places(instrument: Instrument) -> Tensor:
-    """Return which of the M numbers have an unknown bias, (K,)."""
+    """Return the indices of the numbers with an unknown bias, (K,)."""
     sd = instrument.bias_sd
     return torch.zeros(0, dtype=torch.int64) if sd is None else (sd > 0).nonzero().squeeze(-1)
 
@@ -76,13 +76,13 @@ def columns_of(of_bias: Tensor, instrument: Instrument) -> Tensor:
 
 
 def pull_of(rows: Tensor, segment: Segment) -> Tensor:
-    """Return h, (K,), of weighted residuals (B, T, M), each from the start that fits it best."""
+    """Return h, (K,), of weighted residuals (B, T, M) from the best starts."""
     places, (value, precision) = unknown_places(segment.instrument), prior(segment.instrument)
     return (rows * of_biases(segment)).sum((0, 1))[places] + precision * value
 
 
 def prior(instrument: Instrument) -> tuple[Tensor, Tensor]:
-    """Return the biases that are taken off, (K,), and the precision (K,) of their prior about zero."""
+    """Return the subtracted biases, (K,), and the precision (K,) of their prior about zero."""
     places = unknown_places(instrument)
     assert instrument.bias_sd is not None
     value = instrument.bias_sd.new_zeros(len(instrument.bias_sd))
@@ -91,7 +91,7 @@ def prior(instrument: Instrument) -> tuple[Tensor, Tensor]:
 
 
 def eliminated(found: Equations, instrument: Instrument) -> tuple[Equations, SharedBias]:
-    """Return the equations that are left for the parameters, whose biases are the last columns."""
+    """Return the reduced equations of the parameters; the biases are the last columns."""
     (block,), places = found.blocks, unknown_places(instrument)
     value, precision = prior(instrument)
     size = len(block.gradient) - len(places)

@@ -2,7 +2,7 @@
 
 The initial states are eliminated: residuals are evaluated at the best initial state for the current
 parameters (variable projection, Golub & Pereyra 1973; Jacobian as in Kaufman 1975). The result is a
-least-squares problem in the parameters alone, for any kind of measurement: a state, a position, a range.
+least-squares problem only in the parameters, for any kind of measurement: a state, a position, a range.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ class Shooting:
     """Residuals predicted - measured over K intervals from the best initial state, in standard deviations.
 
     Attributes:
-        intervals: number K of intervals; None for whole trajectories.
-        robust: robust loss of single residuals: none (squares), huber or student.
+        intervals: number K of intervals; None: full trajectories.
+        robust: robust loss of residuals: none (squares), huber or student.
     """
 
     intervals: int | None
@@ -86,7 +86,7 @@ class Shooting:
         return ShootingProblem(dynamics, batch, ROBUST[self.robust])
 
     def divided(self, batch: Segment) -> tuple[Segment, None]:
-        """Return the whole batch for the step: initial states are refitted, and no check is needed."""
+        """Return the entire batch for the step: initial states are refitted, and no check is needed."""
         return batch, None
 
     def validation(self, dynamics: Dynamics, batch: Segment) -> dict[str, Tensor]:
@@ -102,7 +102,7 @@ class ShootingProblem:
     Args:
         dynamics: dynamics with a field; initial states are first fitted at their current parameters.
         batch: measurement segments.
-        robust: robust loss of single residuals.
+        robust: robust loss of residuals.
         hopeless: mean squared residual at which a segment is abandoned.
         starts: (B, D) approximate initial states; None derives them from measurements.
         quartered: whether to quarter the integrator steps between measurements.
@@ -111,7 +111,7 @@ class ShootingProblem:
         fitted: all segments at their best initial states.
         kept: mask of converged segments, (B,) bool.
         batch, starts: converged segments, and their initial states (B, D).
-        limit: cost limits of single segments.
+        limit: cost limits of segments.
         steps: integrator steps between measurements.
         lost: number of segments that did not converge.
         count: degrees of freedom, without subtraction of parameters.
@@ -190,7 +190,7 @@ class ShootingProblem:
 
     @torch.no_grad()
     def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
-        """Return loss and normal equations, initial states eliminated; none if no segment converged."""
+        """Return loss and normal equations without initial states; none if no segment converged."""
         del sizes
         if not len(self.starts):
             return Equations(theta.new_tensor(HOPELESS), 1, [])
@@ -261,7 +261,7 @@ class ShootingProblem:
         return self._pulled_back(theta, here, now, (second / reach**2).where(finite, 0.0))
 
     def _pulled_back(self, theta: Tensor, here: Fitted, now: Linearised, rows: Tensor) -> Tensor:
-        """Return J^T of rows (B, R), shape (P,), by reverse mode along paths, initial states eliminated."""
+        """Return J^T of rows (B, R), shape (P,), by reverse mode along paths, without initial states."""
         basis = torch.linalg.qr(now.of_start.flatten(1, 2)).Q
         rows = rows - (basis @ (basis.mT @ rows.unsqueeze(-1))).squeeze(-1)
         rows = rows * self.limit.weight(here.sums)[:, None]

@@ -1,4 +1,4 @@
-"""Tracing of the loss of a batch and its gradient as one graph, backward pass included."""
+"""Tracing of the loss of a batch and its gradient as one graph, including the backward pass."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
 """Weak form: comparison of a field with noisy states by integrals, without differences or solver.
 
-For a test function phi that vanishes at both ends of a span, the integral of phi dx/dt equals that of -phi'
-x. Hence
+For a test function phi that vanishes at both ends of a span, the integral of phi dx/dt equals the integral of
+-phi' x. Hence
 
     r = integral of (phi f(x) + phi' x) dt
 
-is zero for the true field f, and its noise is that of a weighted sum of samples (Messenger & Bortz 2021,
+is zero for the true field f, and its noise is the noise of a weighted sum of samples (Messenger & Bortz 2021,
 Multiscale Model. Simul. 19, 1474-1497). The residual is linear in the field. Measured positions q obey a
 second-order equation, with -phi'' q instead of phi' x.
 """
@@ -52,7 +52,7 @@ class Weak:
     """Integrals of the field against test functions, in standard deviations of their noise.
 
     Attributes:
-        robust: robust loss of single residuals: none (squares), huber or student.
+        robust: robust loss of residuals: none (squares), huber or student.
         relative: whether to add the model discrepancy of the field to the noise. Used at the start, far from
             the truth; once residuals are nearly noise, sums of many residuals are more informative without
             it.
@@ -60,7 +60,7 @@ class Weak:
 
     robust: RobustName = "none"
     relative: bool = False
-    intervals: ClassVar[None] = None  # whole trajectories
+    intervals: ClassVar[None] = None  # full trajectories
     bends: ClassVar[bool] = True  # its problems provide second derivatives of residuals
 
     def residuals(self, dynamics: Dynamics, batch: Segment) -> Tensor:
@@ -74,7 +74,7 @@ class Weak:
         return WeakProblem(dynamics, batch, ROBUST[self.robust], self.relative)
 
     def divided(self, batch: Segment) -> tuple[Segment, None]:
-        """Return the whole batch for the step."""
+        """Return the entire batch for the step."""
         return batch, None
 
     def validation(self, dynamics: Dynamics, batch: Segment) -> dict[str, Tensor]:
@@ -151,7 +151,7 @@ class WeakProblem:
         return (rows * deviations / deviations.unsqueeze(-1)).unflatten(0, self.values[part].shape[:2])
 
     def _sums(self, field: Function | None, part: slice) -> Tensor:
-        """Return the sums of segments in standard deviations, (B, J, D); those of data without a field."""
+        """Return the sums of segments in standard deviations, (B, J, D); without a field, of the data."""
         tests, x = self.tests.rows(part), self.values[part]
         sums = integrated(tests.on_data, tests.stride, x)
         if field is not None:

@@ -1,11 +1,11 @@
 """Selection of the uncertain parameter directions that are relevant to a filter.
 
 Omitted directions make a filter overconfident. If parameters have errors L eta, eta ~ N(0, I), which a filter
-does not estimate but considers in its covariance P, its error is S eta plus that of start and noise (the
-consider filter of Schmidt; Bierman 1977, Factorization Methods for Discrete Sequential Estimation, chapter
-8): S is propagated by the flow, P = P' + S S^T gives the gain K, and an update gives (I - K H) S. The mean of
-e^T P^-1 e is D, to which each column of S contributes its squared length in units of P. Directions are ranked
-by these contributions, i.e. by what a filter cannot determine from measurements, and not by their effect on
+does not estimate but considers in its covariance P, its error is S eta plus the error from start and noise
+(the consider filter of Schmidt; Bierman 1977, Factorization Methods for Discrete Sequential Estimation,
+chapter 8): S is propagated by the flow, P = P' + S S^T gives the gain K, and an update gives (I - K H) S. The
+mean of e^T P^-1 e is D, to which each column of S contributes its squared length in units of P. Directions
+are ranked by these contributions, i.e. by how little measurements determine them, and not by their effect on
 pure predictions.
 """
 
@@ -43,7 +43,7 @@ class Watched(NamedTuple):
     Attributes:
         start: initial states, (B, D).
         start_sd: (D,) their standard deviations.
-        segment: times, pattern of measured values (NaN for others), and sensor; values are ignored.
+        segment: times, pattern of measured values (NaN if not measured), and sensor; values are ignored.
     """
 
     start: Tensor
@@ -56,7 +56,7 @@ class Chosen(NamedTuple):
 
     Attributes:
         directions: (P, K), in order of importance, with positive largest component.
-        left_out: maximum contribution of the others to the NEES along the paths.
+        left_out: maximum contribution of the omitted directions to the NEES along the paths.
     """
 
     directions: Tensor
@@ -74,8 +74,8 @@ def filtered_directions(
         spread: L, shape (P, R); L L^T is the covariance of the parameters.
         watched: paths of the filter; diverging paths are omitted.
         most: maximum number of directions.
-        enough: tolerated NEES contribution of the others per state component; the fewest sufficient
-            directions are returned.
+        enough: tolerated NEES contribution of the omitted directions per state component; the fewest
+            sufficient directions are returned.
 
     Raises:
         UserError: all paths diverge.

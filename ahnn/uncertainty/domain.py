@@ -19,7 +19,7 @@ from ahnn.errors import UserError
 from ahnn.stored import Known, read
 
 KEPT = 500
-"""Maximum number of representative states, at most half of the training; the others define the unit."""
+"""Maximum number of representative states, at most half of the training; the rest define the unit."""
 FARTHEST = 0.01
 """Fraction of the training states with novelty above 1."""
 
@@ -104,7 +104,10 @@ def domain_of(about: dict[str, Any], size: int) -> Domain | None:
         return None
     known = read("domain", Known, about["domain"])
     if not known.states or {len(row) for row in known.states} != {size}:
-        message = f"domain: expected training states of {size} components with the weights; received others"
+        message = (
+            f"domain: expected training states of {size} components with the weights; received a different "
+            "number"
+        )
         raise UserError(message)
     return Domain(torch.tensor(known.states, dtype=torch.float64), known.unit)
 

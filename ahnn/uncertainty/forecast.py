@@ -43,7 +43,7 @@ def forecast_columns(
         here: derivatives of steps and measurements along the paths.
         fitted: (B, K + 1) bool, times of the fitted measurements.
         factor: L, shape (P, R); L L^T is the covariance of the parameters.
-        whitening: of the residuals, where their noise is coloured.
+        whitening: whitening of the residuals, if their noise is coloured.
     """
     later, jacobians = ~fitted[..., None, None], here.jacobians.to(states)
     orthogonal, root = torch.linalg.qr(here.of_start.masked_fill(later, 0.0).flatten(1, 2))

@@ -57,7 +57,7 @@ class Uncertainty:
         return self.spread @ self.spread.mT
 
     def to(self, device: torch.device | str | None) -> Uncertainty:
-        """Return the same on a device, in float64."""
+        """Return a copy on a device, in float64."""
         moved = {name: part.to(device) for name in PARTS if (part := getattr(self, name)) is not None}
         before = self.before and (copy.deepcopy(self.before[0]).to(device), self.before[1].to(device))
         return replace(self, **moved, before=before)
@@ -111,8 +111,8 @@ def load_uncertainty(folder: Path, state: dict[str, Tensor]) -> Uncertainty | No
         or not all(t.dtype == torch.float64 and bool(t.isfinite().all()) for t in tensors.values())
     ):
         message = (
-            f"{folder / FILE}: expected a square factor, steps and directions as long, finite float64; "
-            "received tensors that do not fit"
+            f"{folder / FILE}: expected a square factor, steps and directions of its length, finite "
+            "float64; received tensors that do not fit"
         )
         raise UserError(message)
     return Uncertainty(factor, offset, about.inflation, about.found, directions, step)

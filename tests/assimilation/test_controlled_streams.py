@@ -224,7 +224,7 @@ def test_rows_added_to_a_table_are_gone_on_with_and_others_are_refused(tmp_path)
     other = [(9.0, 9.0), *values[1:]]
     for table in (ControlTable.of(times, other), ControlTable.of(times, values, linear=True), None):
         with pytest.raises(
-            UserError, match=r"controls: expected those of .* up to time .*; received different ones"
+            UserError, match=r"controls: expected the controls stored in .* up to time .*; received different"
         ):
             steered_filter(controls=table).load(tmp_path / "a.state")
 

@@ -118,7 +118,7 @@ def test_states_of_others_and_damaged_ones_are_refused(tmp_path):
     session(TEXT, *names).run()
     with pytest.raises(UserError, match="of this model, process noise, gate, sensors and window"):
         session(TEXT, *names, window=3.0)
-    with pytest.raises(UserError, match=r"start: expected the 7 objects of .* received different ones"):
+    with pytest.raises(UserError, match=r"start: expected the 7 objects of .* received different objects"):
         session(TEXT, *names, names=NAMES[:3])
     whole = names[1].read_bytes()
     for cut in (whole[:-40], whole[: len(whole) // 2], b""):

@@ -73,7 +73,7 @@ def test_a_size_of_zero_or_any_other_never_cuts_rows_that_the_state_counts(names
     whole = len(names[0].read_bytes())
     for size in (0, 1, whole - 1, whole - 60):
         changed(names[1], size=size)
-        refused(names, "output: expected .* unchanged, .* other content. Start over")
+        refused(names, "output: expected .* unchanged, .* a changed file. Start over")
 
 
 @pytest.mark.parametrize("kind", ["csv", "json"])
@@ -85,7 +85,7 @@ def test_what_somebody_added_or_changed_is_not_cut_off(tmp_path, kind):
         names[0].write_bytes(content)
         if content.endswith(b"13,") and kind == "csv":  # a row of line 13 that a kill cut
             continue
-        refused(names, "output: .* other content", kind=kind)
+        refused(names, "output: .* a changed file", kind=kind)
     names[0].write_bytes(good)
     session(TEXT, *names, kind=kind).run()
     assert names[0].read_bytes() == good
@@ -97,7 +97,7 @@ def test_a_file_in_the_place_of_an_output_that_had_not_begun_stays(tmp_path):
     begun._save()
     begun.close()
     names[0].write_text("a,table\n1,2\n")
-    refused(names, "output: .* other content")
+    refused(names, "output: .* a changed file")
 
 
 def test_an_output_that_is_gone_is_not_begun_in_the_middle(names):
@@ -106,7 +106,7 @@ def test_an_output_that_is_gone_is_not_begun_in_the_middle(names):
 
 
 def test_rows_of_another_kind_do_not_follow(names):
-    refused(names, "format: expected the value stored in .*; received another", kind="json")
+    refused(names, "format: expected the value stored in .*; received a different", kind="json")
 
 
 def test_an_empty_reading_leaves_the_consistency_known(tmp_path):

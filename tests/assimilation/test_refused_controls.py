@@ -26,7 +26,7 @@ PUSH = Reading(1.0, controls=(1.0, 2.0))
         (
             Reading(1.0, (1.0,), "ruler"),
             {},
-            "expected values from the start on, at time 0; received none before a reading at time 1",
+            "expected values at the start, time 0; received none before a reading at time 1",
         ),
         (PUSH, {}, r"controls: expected values .* before a reading at time 1\. Begin with one of time 0"),
         (PUSH._replace(controls=(1.0,)), {}, r"controls: expected 2 finite numbers .*; received \(1.0,\)"),
@@ -35,7 +35,7 @@ PUSH = Reading(1.0, controls=(1.0, 2.0))
         (
             PUSH,
             {"controls": TABLE},
-            r"expected a table, or readings with controls; received both, \(1.0, 2.0\)",
+            r"expected controls either in a table or in readings; received a table and \(1.0, 2.0\)",
         ),
         (Reading(math.nan), {}, "reading: expected a finite time"),
     ],
@@ -60,7 +60,7 @@ def test_controls_of_a_model_that_has_none_and_tables_of_others_are_refused():
     with pytest.raises(UserError, match=r"controls: expected a table of 2; received \(1, 1\)"):
         steered_filter(controls=ControlTable.of([0.0], [[1.0]]))
     with pytest.raises(
-        UserError, match="controls: expected values from the start on, at -1; received the first"
+        UserError, match="controls: expected values at the start, time -1; received the first"
     ):
         steered_filter(controls=TABLE, time=-1.0)
     for times, values in (([0.0, 0.0], [[1.0], [2.0]]), ([0.0], [[math.nan]]), ([0.0], [1.0]), ([], [])):
@@ -86,9 +86,9 @@ def test_a_header_of_other_controls_is_refused_and_leaves_nothing(tmp_path, head
 @pytest.mark.parametrize(
     ("text", "options", "said"),
     [
-        ("time,sensor,q\n1,ruler,2\n", {}, "controls: expected values from the start on, at time 0"),
-        ('{"time": 1, "u": 1, "brake": 0}\n', {}, "controls: expected values from the start on"),
-        ("time,u,brake\n0,1,2\n", {"controls": TABLE}, "expected a table, or readings with controls"),
+        ("time,sensor,q\n1,ruler,2\n", {}, "controls: expected values at the start, time 0"),
+        ('{"time": 1, "u": 1, "brake": 0}\n', {}, "controls: expected values at the start"),
+        ("time,u,brake\n0,1,2\n", {"controls": TABLE}, "expected controls either in a table or in readings"),
     ],
 )
 def test_a_stream_without_its_controls_or_with_both_is_refused_and_leaves_nothing(

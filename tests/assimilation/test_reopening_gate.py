@@ -151,7 +151,7 @@ def test_a_stream_says_it_and_goes_on_bit_for_bit_from_the_middle_of_the_refusal
     first.run()
     assert "line 26: time 12.5 of sensor ruler reopened the gate" in caplog.text
     assert ",reopened," in whole.read_text().splitlines()[25]
-    assert "% of the measurements, and reopened 1 times" in first.verdict()
+    assert "% of the measurements, and reopened once" in first.verdict()
     for end in (24, 25, 26, 41):  # before, within and behind
         session("\n".join(lines[:end]) + "\n", parts, tmp_path / "state", every=1, gate=GATE).run()
     assert parts.read_bytes() == whole.read_bytes()

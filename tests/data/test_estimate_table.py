@@ -90,7 +90,7 @@ def test_units_and_frame_are_those_of_the_sidecar(tmp_path):
     said = parse(beside(path).read_text(), "out.yaml")
     assert said.units == units_of(SPACE)
     metres = SPACE._replace(units=SPACE.units._replace(position="m"))
-    with pytest.raises(UserError, match="expected x in m, that of the model; received km"):
+    with pytest.raises(UserError, match="expected x in m, as in the model; received km"):
         last_estimate(path, metres)
 
 

@@ -114,15 +114,18 @@ def changed(place, value, of=TIMES):
         ({"states": STATES > 3}, "received Tensor of torch.bool"),
         ({"states": STATES[:0], "times": TIMES[:0]}, r"states: expected shape .* received \(0, 3, 4\)"),
         ({"states": STATES[:, :0], "times": TIMES[:, :0]}, r"received \(2, 0, 4\)"),
-        ({"times": TIMES[:, :2]}, r"expected shape \(2, 3\), or \(3,\) for all alike; received \(2, 2\)"),
+        (
+            {"times": TIMES[:, :2]},
+            r"expected shape \(2, 3\), or \(3,\) for all trajectories; received \(2, 2\)",
+        ),
         ({"times": TIMES[:1]}, r"received \(1, 3\)"),
         ({"times": TIMES[:, 0]}, r"received \(2,\)"),
         ({"states": changed((0, 0, 0), torch.inf, STATES)}, "expected a finite number"),
         ({"times": changed((1, 2), torch.inf)}, "expected a finite number"),
         ({"times": changed((1, 2), 4.0)}, r"received \[4.0, 4.0\] from sample 1 of trajectory 1"),
         ({"times": changed((0, 1), -1.0)}, r"received \[0.0, -1.0\] from sample 0 of trajectory 0"),
-        ({"times": changed((0, 1), torch.nan)}, "received NaN before another"),
-        ({"times": changed((0, 0), torch.nan)}, "received NaN before another"),
+        ({"times": changed((0, 1), torch.nan)}, "received NaN before a time"),
+        ({"times": changed((0, 0), torch.nan)}, "received NaN before a time"),
         ({"space": "mine"}, r"space: expected ahnn.Space\(name, components\); received str"),
         ({"space": SPACE._replace(components=("x", "y", "x", "py"))}, "different names; received 'x' twice"),
         ({"space": SPACE._replace(components=("x", "", "px", "py"))}, "can be printed.*received ''"),
@@ -145,7 +148,7 @@ def test_what_does_not_fit_is_refused_with_what_came(change, message):
 def test_no_whole_sample_is_no_trajectory():
     states = STATES.clone()
     states[1, :, 2] = torch.nan
-    with pytest.raises(UserError, match="trajectory 1, row 1: expected a trajectory with a whole sample"):
+    with pytest.raises(UserError, match="trajectory 1, row 1: expected a trajectory with a complete sample"):
         Given(Trajectories(states, TIMES), SPACE)
 
 
@@ -159,7 +162,7 @@ def test_the_same_trajectory_twice_is_refused_unless_it_is_asked_for():
     states[1] = states[0]
     given = Trajectories(states, times)
     with pytest.raises(
-        UserError, match=r"trajectory 1, row 1: expected valid data.*those from row 1 of trajec"
+        UserError, match=r"trajectory 1, row 1: expected valid data.*the samples from row 1 of trajec"
     ):
         Given(given, SPACE).check()
     Given(given, SPACE, unsound=True).check()

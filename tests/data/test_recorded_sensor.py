@@ -164,7 +164,7 @@ def test_noise_to_estimate_begins_at_what_differences_show(tmp_path):
 
 
 def test_noise_of_simulated_measurements_is_no_unknown():
-    with pytest.raises(UserError, match=r"data\.noise: expected standard deviations of what is"):
+    with pytest.raises(UserError, match=r"data\.noise: expected standard deviations of simulated noise"):
         Sensor(SPRING.space, measured="position", noise="estimate")
 
 

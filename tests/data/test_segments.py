@@ -80,7 +80,9 @@ def test_stages_longer_than_all_trajectories_take_these_whole():
 def test_trajectories_without_an_initial_state_are_refused():
     data = measured()
     data.values[:, ::2] = NAN
-    with pytest.raises(UserError, match="expected trajectories with at least 4 of 6 measurements in a row"):
+    with pytest.raises(
+        UserError, match="expected trajectories with at least 4 of 6 consecutive measurements"
+    ):
         Segments(data, 5, SEEN)
 
 

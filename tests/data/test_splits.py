@@ -48,10 +48,10 @@ def test_splits_follow_each_other():
 @pytest.mark.parametrize(
     ("now", "said"),
     [
-        (THEN, "the test split of the training's data"),
-        ([0.5, 0.3, 0.2], "a part of the test split of the training's data"),
-        ([0.7, 0.2, 0.1], "a part of the test split of the training's data"),
-        ([0.1, 0.8, 0.1], "a part of the test split of the training's data"),
+        (THEN, "the test split of the run's data"),
+        ([0.5, 0.3, 0.2], "a part of the test split of the run's data"),
+        ([0.7, 0.2, 0.1], "a part of the test split of the run's data"),
+        ([0.1, 0.8, 0.1], "a part of the test split of the run's data"),
     ],
 )
 def test_a_later_beginning_of_the_test_split_is_no_leak(now, said):
@@ -60,15 +60,15 @@ def test_a_later_beginning_of_the_test_split_is_no_leak(now, said):
 
 @pytest.mark.parametrize(("now", "seen", "of"), [([0.6, 0.1, 0.3], 2, 6), ([0.2, 0.2, 0.6], 8, 12)])
 def test_an_earlier_beginning_of_the_test_split_is_refused(now, seen, of):
-    with pytest.raises(UserError, match=f"{seen} of {of} are among those seen"):
+    with pytest.raises(UserError, match=f"{seen} of {of} were used"):
         SplitData(Twenty(), now).beside(known())
 
 
 def test_other_data_are_other_trajectories_unless_they_are_the_same_files():
     assert SplitData(Twenty(), THEN).beside(None) == "unknown training data"
-    others = "trajectories other than those of the training"
+    others = "trajectories other than the training data"
     assert SplitData(Twenty(seed=1), THEN).beside(known()) == others
-    changed = "files that differ from those of the training"
+    changed = "files other than the training data"
     assert SplitData(Twenty(files="a"), THEN).beside(known(files="b")) == changed
     assert SplitData(Twenty(files="a"), THEN).beside(known()) == others
     with pytest.raises(UserError, match="expected the training's files with its settings"):
@@ -93,9 +93,7 @@ SWAPPED = [16, *range(1, 16), 0, *range(17, 20)]
 @pytest.mark.parametrize("walks", [Walks(SWAPPED), Walks(SWAPPED, 9), Walks(SWAPPED, seed=3)])
 def test_a_trajectory_of_the_training_is_no_test_of_changed_data(walks):
     seen = SplitData(Walks(files="a"), THEN).seen()
-    with pytest.raises(
-        UserError, match=r"received 4, of which 1 contain samples of its training or validation"
-    ):
+    with pytest.raises(UserError, match=r"received 4, 1 of them with samples of the training or validation"):
         SplitData(walks, THEN).beside(known(files="a"), seen)
 
 
@@ -103,7 +101,7 @@ def test_changed_data_of_which_nothing_was_seen_are_reported_with_that():
     seen = SplitData(Walks(files="a"), THEN).seen()
     assert len(seen) == 16
     other = Walks([*range(16), 19, 18, 17, 16])
-    said = "files that differ from those of the training, with test trajectories it never saw"
+    said = "files other than the training data, with test trajectories not used in training"
     assert SplitData(other, THEN).beside(known(files="a"), seen) == said
     other.states[16:] = 0.0  # a state of rest, which the training does not know
     assert SplitData(other, THEN).beside(known(files="a"), seen) == said

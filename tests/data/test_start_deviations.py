@@ -41,7 +41,7 @@ def test_units_are_those_of_the_columns_and_epochs_may_be_times(tmp_path):
 
 
 def test_some_alone_are_refused_and_exact_states_have_none(tmp_path, caplog):
-    with pytest.raises(UserError, match="expected sd_vq beside the other standard deviations; received none"):
+    with pytest.raises(UserError, match="expected sd_vq with the other standard deviations; received none"):
         read(tmp_path, "t,q,vq,sd_q", "0,1,2,0.1")
     assert read(tmp_path, "t,q,vq,sd_q,sd_vq", "0,1,2,0,0", "1,1,2,0.1,0.1").covariances is None
     assert "its standard deviations are not used" in caplog.text

@@ -51,7 +51,7 @@ def test_velocities_are_no_momenta_of_a_space_that_is_not_mechanical(tmp_path):
     ("head", "said"),
     [
         ("t,x,z,vx,vz", "expected positions x, y and their velocities or momenta; received x, z. Name the"),
-        ("t,x,y", "received x, y alone. The output of ahnn.assimilate"),
+        ("t,x,y", "received x, y only. The output of ahnn.assimilate"),
         (
             "t [s],x [rad],y [rad],vx [rad/s],vy [rad/s]",
             "expected numbers in m, or a compatible unit; rec",
@@ -129,7 +129,7 @@ def test_an_epoch_of_a_file_comes_before_that_of_a_model():
         ("[1, 2]\n", "received no keys"),
         (
             "mean: [1, 2, 3, 4]\ncovariance: [[1, 2], [3, 4]]\n",
-            "covariance of 4 x 4 numbers; received another",
+            "covariance of 4 x 4 numbers; received a different shape",
         ),
         ("mean: [1, 2, 3, 4]\nepoch: noon\n", "received epoch noon"),
         ("mean: [1, 2, 3, .inf]\n", "finite"),
@@ -145,7 +145,7 @@ def test_a_start_in_another_frame_is_refused_where_it_cannot_be_turned(tmp_path)
     (tmp_path / "a.yaml").write_text("mean: [1, 2, 3, 4]\nframe: GCRF\nepoch: 2024-03-01T12:00:00\n")
     path = str(tmp_path / "a.yaml")
     assert starts(path, PLANE, Reference("ICRF")).reference == Reference("GCRF", clock="UTC", epoch=NOON)
-    with pytest.raises(UserError, match="expected frame EME2000, that of the model; received GCRF"):
+    with pytest.raises(UserError, match="expected frame EME2000, as in the model; received GCRF"):
         starts(path, PLANE, Reference("EME2000"))
 
 

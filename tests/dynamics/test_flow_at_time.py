@@ -112,7 +112,7 @@ def test_what_is_not_known_is_a_message():
         with pytest.raises(UserError, match="flow: expected the time at which a step begins"):
             flow(STATES, 0.1)
     with pytest.raises(
-        UserError, match=r"received some that depend on controls. `ahnn.dynamics.flow_at_time.steered`"
+        UserError, match=r"received forces that depend on controls. `ahnn.dynamics.flow_at_time.steered`"
     ):
         Bound(PUSHED, 0.0)(STATES, 0.1)
     for times, controls in (

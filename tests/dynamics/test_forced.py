@@ -230,7 +230,7 @@ def test_a_friction_matrix_tells_its_lower_triangle_and_takes_no_coefficient():
     whole = torch.tensor([[1.0, -0.5], [-0.5, 4.25]], **DOUBLE)
     close(force.matrix(torch.zeros(2, **DOUBLE)).detach(), whole, 1e-15)
     close(force.constants()["matrix"].detach(), torch.tensor([1.0, -0.5, 4.25], **DOUBLE), 1e-15)
-    with pytest.raises(UserError, match="expected no coefficient beside of=matrix"):
+    with pytest.raises(UserError, match="expected no coefficient with of=matrix"):
         make_force("own", 2, 0, {"kind": "friction", "of": "matrix", "coefficient": 0.1})
 
 
@@ -239,7 +239,7 @@ def test_a_friction_matrix_tells_its_lower_triangle_and_takes_no_coefficient():
     [
         ({"kind": "actuation", "matrix": [[float("nan")], [1.0]]}, "matrix: expected"),
         ({"kind": ["actuation"]}, "expected kind, one of"),
-        ({"kind": "actuation", "matrix": [[1.0], [1.0]], "of": "positions"}, "no matrix beside of=positions"),
+        ({"kind": "actuation", "matrix": [[1.0], [1.0]], "of": "positions"}, "no matrix with of=positions"),
         ({"kind": "friction", "coefficient": [0.1, float("nan")]}, "coefficient: expected"),
         ({"kind": "friction", "coefficient": [0.1, -0.1]}, "coefficient: expected"),
         ({"kind": "forcing", "frequency": 1.0, "sine": [float("inf"), 1.0]}, "sine: expected"),

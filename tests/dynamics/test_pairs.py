@@ -110,7 +110,7 @@ def test_coordinates_that_are_not_those_of_bodies_are_refused(options, message):
 def test_other_dynamics_and_masses_are_refused():
     with pytest.raises(UserError, match="for_bodies: expected dynamics with hamiltonian=pairs"):
         for_bodies(dynamics(hamiltonian="generic", dimensions=None, falloff=0.0), [1.0, 1.0])
-    with pytest.raises(UserError, match="masses: expected two finite ones > 0 or more"):
+    with pytest.raises(UserError, match="masses: expected two or more finite masses > 0"):
         for_bodies(dynamics(), [1.0])
 
 

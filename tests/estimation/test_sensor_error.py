@@ -132,7 +132,7 @@ def test_biases_are_said_for_all_components_for_each_or_for_one_station_of_sever
 @pytest.mark.parametrize(
     ("sd", "memory", "said"),
     [
-        (None, 3.0, "bias_memory: expected bias_sd with it; received 3.0 alone"),
+        (None, 3.0, "bias_memory: expected bias_sd with 3.0; received none"),
         ([0.1, 0.2, 0.3], None, "bias_sd: expected standard deviations of biases"),
         ([0.0, 0.0], None, "not all 0"),
         (-1.0, None, "bias_sd: expected"),

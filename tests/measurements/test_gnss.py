@@ -79,7 +79,7 @@ def test_a_table_is_exact_at_its_times_and_smooth_between_them():
 def test_no_time_outside_of_a_table(t):
     times = 300.0 * torch.arange(12, dtype=F64)
     with pytest.raises(
-        ValueError, match=rf"GnssRange: expected a time of the table, 0 to 3300; received {t:g}"
+        ValueError, match=rf"GnssRange: expected a time within the table, 0 to 3300; received {t:g}"
     ):
         GnssRange(circle(times)[:, None], times)(X, t)
 

@@ -223,7 +223,7 @@ def test_a_run_predicts_what_its_rollout_and_band_say(tmp_path, cache):
     [
         ([1.0, torch.nan], [0, 1], r"start: expected finite numbers.*in start 1"),
         ([1.0], [0, 1], r"start: expected states \[q, p\]"),
-        ([1.0, 0.0], [0, 0], r"times: expected two or more that increase"),
+        ([1.0, 0.0], [0, 0], r"times: expected two or more increasing times"),
         ([1.0, 0.0], [0], r"times: expected two or more"),
         ([1.0, 0.0], 3.0, r"times: expected two or more"),
         ([1.0, 0.0], [0, torch.inf], r"times: expected two or more"),

@@ -189,7 +189,10 @@ MISTAKES = {
     "picture": ([MOLNIYA, START, "duration=1h", "figure=out.gif"], "figure: expected a file .png"),
     "frame": ([MOLNIYA, START, "duration=1h", "output=o.oem"], "frame: expected frame, centre"),
     "epoch": ([MOLNIYA, START, "duration=1h", "epoch=noon"], "epoch: expected an epoch such as"),
-    "no epoch": ([MOLNIYA, START, "duration=1h", "output=o.oem", "frame=[A,B,UTC]"], "epoch: expected that"),
+    "no epoch": (
+        [MOLNIYA, START, "duration=1h", "output=o.oem", "frame=[A,B,UTC]"],
+        "expected the date of time zero",
+    ),
     "typo": ([MOLNIYA, START, "duraton=1h"], "did you mean 'duration'?"),
     "deviations": ([MOLNIYA, START, "duration=1h", "start_sd=[1,1,1]"], "start_sd: expected 6 numbers > 0"),
     "no deviation": ([MOLNIYA, START, "duration=1h", "start_sd=[1,0]"], "start_sd: expected"),

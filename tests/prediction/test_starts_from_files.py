@@ -47,10 +47,10 @@ def deviations(row):
     ("given", "more", "said"),
     [
         ({"frame": "ITRF2014"}, [], "expected an inertial frame; received ITRF2014. Set frame= to"),
-        ({"center": "MARS"}, [], "expected centre EARTH, that of the model; received MARS"),
-        ({"center": "MARS"}, ["frame=[GCRF,EARTH]"], "expected centre EARTH, that of the model"),
-        ({}, ["frame=[TEME,EARTH]"], "expected frame TEME, that of the model; received EME2000"),
-        ({"frame": "TNW"}, ["frame=[GCRF]"], "expected frame GCRF, that of the model; received TNW"),
+        ({"center": "MARS"}, [], "expected centre EARTH, as in the model; received MARS"),
+        ({"center": "MARS"}, ["frame=[GCRF,EARTH]"], "expected centre EARTH, as in the model"),
+        ({}, ["frame=[TEME,EARTH]"], "expected frame TEME, as in the model; received EME2000"),
+        ({"frame": "TNW"}, ["frame=[GCRF]"], "expected frame GCRF, as in the model; received TNW"),
         ({"clock": "UT1"}, ["frame=[EME2000,EARTH,UTC]"], "time system: expected UT1, or two of UTC"),
         ({}, ["epoch=2024-03-01T12:00:00"], "epoch: expected none, since the start file has its own"),
         ({"axes": "TNW"}, [], "expected a covariance in EME2000 or RTN; received one in TNW"),
@@ -153,7 +153,7 @@ def test_a_message_has_frame_and_epoch_of_the_data_that_were_learned(capsys):
     (found,) = read_oem("out.oem")
     assert (found.frame, found.time_system, found.epoch(0.0)) == ("GCRF", "TAI", "2026-01-01T00:00:00.000")
     assert call("ahnn.predict", f"run={run}", numbers, *SHORT, "output=out.oem", "frame=[EME2000]") == 2
-    assert "frame: expected GCRF, that of the model; received EME2000" in capsys.readouterr().err
+    assert "frame: expected GCRF, as in the model; received EME2000" in capsys.readouterr().err
 
 
 def test_what_is_not_finite_ends_with_code_3_and_writes_nothing(capsys):
@@ -190,5 +190,5 @@ def test_references_say_what_they_are_of_and_clocks_are_turned():
     assert str(tai).endswith("12:00:37.000")
     assert tai.on("UTC") == noon
     assert Reference.of("GCRF").filled(tai) == ("GCRF", "EARTH", "TAI", tai.epoch)
-    with pytest.raises(UserError, match="center: expected EARTH, that of the model; received MOON"):
+    with pytest.raises(UserError, match="center: expected EARTH, as in the model; received MOON"):
         noon.chosen(Reference.of("EME2000, MOON"))

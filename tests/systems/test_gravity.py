@@ -158,7 +158,7 @@ def test_a_symplectic_composition_refuses_what_it_would_integrate_without_the_ro
         ({"degree": 9}, "degree: expected 0 to 8 of GGM05C; received 9"),
         ({"degree": 4, "order": 5, "rotation": 1e-5}, "order: expected 0 to 4 of GGM05C; received 5"),
         ({"order": 2}, "rotation: expected the rotation rate of the planet"),
-        ({"tide": "mean_tide"}, "tide: expected zero_tide, as ggm05c has it; received mean_tide"),
+        ({"tide": "mean_tide"}, "tide: expected zero_tide, as in ggm05c; received mean_tide"),
         ({"gravity": "nowhere.gfc"}, "nowhere.gfc: expected a file"),
         ({"altitude": (-6400.0, 0.0)}, "altitude: expected orbits above the centre, -6378.1363 km"),
         ({"rotation": math.nan}, "rotation: expected float"),

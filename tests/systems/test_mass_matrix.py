@@ -77,5 +77,5 @@ def test_a_pushed_cart_gains_the_momentum_of_the_push():
 
 
 def test_numbers_for_another_count_of_links_are_refused():
-    with pytest.raises(UserError, match=r"masses: expected one for each of 2 links; received \[1.0\]"):
+    with pytest.raises(UserError, match=r"masses: expected one number for each of 2 links; received \[1.0\]"):
         ChainPendulum(name="chain", dt=0.1, steps=3, masses=[1.0])

@@ -46,5 +46,5 @@ def test_the_motion_is_scipy_s():
 def test_one_body_and_masses_of_others_are_refused():
     with pytest.raises(UserError, match="bodies: expected at least two; received 1"):
         NBody(name="one", dt=0.1, steps=3, bodies=1)
-    with pytest.raises(UserError, match=r"masses: expected one for each of 3 bodies; received \[1.0\]"):
+    with pytest.raises(UserError, match=r"masses: expected one number for each of 3 bodies; received"):
         NBody(name="one", dt=0.1, steps=3, masses=[1.0])

@@ -59,7 +59,7 @@ def test_an_orbit_is_found_and_written(folder, tmp_path, capsys):
     [
         (["noise.rnage=1"], "noise: unknown key 'rnage'; did you mean 'range'?"),
         (["noise.range=-1"], "noise.range: expected a standard deviation > 0; received -1"),
-        (["noise.azimuth=null"], "noise.azimuth: expected a standard deviation of what"),
+        (["noise.azimuth=null"], "noise.azimuth: expected a standard deviation for"),
         (["start.epoch=yesterday"], "start.epoch: expected an epoch such as"),
         (["start.position=[1,2]"], "start.position: expected three numbers"),
         (["forces.gravity.field=nowhere.gfc"], "nowhere.gfc: expected a file with a gravity field"),

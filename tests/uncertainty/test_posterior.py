@@ -104,5 +104,5 @@ def test_tensors_that_do_not_fit_each_other_are_refused(wrong, tmp_path):
     assert about["format"] == FORMAT
     tensors = {"factor": KNOWN.factor, "offset": KNOWN.offset} | wrong
     write_weights(tmp_path / FILE, Weights(tensors, about))
-    with pytest.raises(UserError, match="a square factor, steps and directions as long"):
+    with pytest.raises(UserError, match="a square factor, steps and directions of its length"):
         load_uncertainty(tmp_path, STATE)

@@ -34,7 +34,7 @@ class Examined(NamedTuple):
 
     @property
     def faults(self) -> list[Finding]:
-        """Findings that would spoil a training."""
+        """Findings that would spoil the training."""
         return [finding for finding in self.findings if finding.level == "fault"]
 
 
@@ -100,4 +100,4 @@ def clash(first: Content, other: Content) -> list[Finding]:
     wrong = [name for name in KINDS if getattr(first, name) != getattr(other, name)]
     expected = f"the {', '.join(wrong)} of {first.tracks[0].file}"
     place = Place(other.tracks[0].file, other.head)
-    return [Finding.of(Fault(place, expected, "others", "Read it separately"))] if wrong else []
+    return [Finding.of(Fault(place, expected, "different ones", "Read it separately"))] if wrong else []

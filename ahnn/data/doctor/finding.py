@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 from ahnn.data.files.table import Fault, Remark
 
 Level = Literal["fault", "warning", "note"]
-"""Severity levels: a fault would spoil a training, a warning may, a note is informative."""
+"""Severity levels: a fault would spoil the training, a warning may, a note is informative."""
 
 
 class Finding(NamedTuple):
@@ -16,7 +16,7 @@ class Finding(NamedTuple):
     Attributes:
         level: severity.
         file: file name.
-        row: line or record number; 0 for the whole file or column.
+        row: line or record number; 0 for the entire file or column.
         column: column name, or "".
         what: description of the defect.
         remedy: remedy.

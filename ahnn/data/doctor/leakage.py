@@ -9,7 +9,7 @@ from ahnn.data.doctor.finding import Finding
 from ahnn.data.files.samples import Track
 
 RUN = 8
-"""Minimum number of equal consecutive samples (or a whole trajectory): a few may be equal by chance."""
+"""Minimum number of equal consecutive samples (or a complete trajectory): a few may be equal by chance."""
 LEAST = 3
 """Number of samples of a trajectory that are compared."""
 
@@ -37,7 +37,7 @@ def leakage_findings(tracks: list[Track]) -> list[Finding]:
 def finding(one: Track, other: Track, at: int, first: int) -> Finding:
     """Build the finding that a track repeats another."""
     name = f" of trajectory {one.name}" if one.name else ""
-    what = f"the samples from here on repeat those from row {one.rows[first]} of {one.file}{name}"
+    what = f"this and later samples repeat the samples from row {one.rows[first]} of {one.file}{name}"
     return Finding("fault", other.file, int(other.rows[at]), "", what, "Keep one of the two trajectories")
 
 

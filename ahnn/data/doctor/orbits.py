@@ -33,7 +33,7 @@ MU = {
 EXACT = 0.02
 """Relative difference of accelerations that is attributed to perturbations."""
 FITS = 0.1
-"""Maximum difference of another hypothesis, which must also be much smaller than that of the stated one."""
+"""Maximum difference under another hypothesis; it must also be much smaller than under the stated one."""
 UNCLEAR = 0.15
 """Uncertainty of the accelerations above which no statement is made."""
 LENGTHS = {
@@ -86,7 +86,7 @@ def words(frame: str) -> list[str]:
 
 
 def hypothesis(times: Array, positions: Array, body: str | None, *, turning: bool) -> str:
-    """Return the unit or frame mistake that explains an orbit (km, s); "" for none, or for no orbit.
+    """Return the unit or frame mistake that explains an orbit (km, s); "" without mistake or orbit.
 
     Args:
         times: (T,) in s.

@@ -70,7 +70,7 @@ def gaps(track: Track, column: str, gap: float) -> Iterator[Finding]:
 
 
 def constant(content: Content, names: tuple[str, ...]) -> Iterator[Finding]:
-    """Yield findings on columns constant in the whole file, which provide no information."""
+    """Yield findings on columns constant in the entire file, which provide no information."""
     values = np.concatenate([track.values for track in content.tracks])
     if len(values) < 3:
         return
@@ -141,7 +141,8 @@ def runs_of_outliers(content: Content, names: tuple[str, ...]) -> Iterator[Findi
                     rows = track.rows[there[[first, last]]]
                     what = (
                         f"{last - first + 1} successive values, rows {rows[0]} to {rows[1]}, are up to "
-                        f"{off[first : last + 1].max():.2g} times the spread of the file away from the others"
+                        f"{off[first : last + 1].max():.2g} times the spread of the file away from all "
+                        "other values"
                     )
                     remedy = "Correct them (another unit?), or leave the cells empty"
                     yield Finding("warning", track.file, int(rows[0]), name, what, remedy)

@@ -31,7 +31,7 @@ class FieldMessage:
         values: texts by keyword.
         rows: line numbers.
         units: units given with the values.
-        repeated: keywords of blocks that may occur several times, such as those of manoeuvres.
+        repeated: keywords of blocks that may occur several times, such as manoeuvres.
     """
 
     place: Place
@@ -63,7 +63,7 @@ class FieldMessage:
         return self.values.get(key) or self.at(key).refuse(f"a value in {self.about}", "none")
 
     def require_units(self, expected: Callable[[str], str]) -> None:
-        """Raise UserError for units other than those of the standard."""
+        """Raise UserError for units that differ from the standard."""
         for key, unit in self.units.items():
             plain = unit.replace(" ", "").lower().replace("^", "**")
             if (wanted := expected(key)) and plain != wanted:

@@ -77,8 +77,8 @@ def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
     """Determine the roles of columns from a sidecar or from their names, in any case.
 
     By name, `t` or `time` is the time and `id` or `trajectory` the trajectory id; `rates_of` defines
-    velocities and momenta, standard deviations begin with `sd_`, `CONTROL` defines controls, and all others
-    are positions.
+    velocities and momenta, standard deviations begin with `sd_`, `CONTROL` defines controls, and all other
+    columns are positions.
 
     Args:
         header: header of the file.
@@ -86,7 +86,7 @@ def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
         place: place of the header.
 
     Raises:
-        UserError: a missing column, a column without counterpart, or a name that is not that of a position.
+        UserError: a missing column, a column without counterpart, or a name that no position has.
     """
     names = header.names
     if named:
@@ -115,7 +115,7 @@ def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
         if rates and i not in rates:
             known = ", ".join(names[k] for k in rates.values())
             remedy = f"If it is something else: {SIDECAR[0].lower()}{SIDECAR[1:]}"
-            place._replace(column=names[i]).refuse(f"its {kinds[0]} beside {known}", "none", remedy)
+            place._replace(column=names[i]).refuse(f"its {kinds[0]}, as there is {known}", "none", remedy)
     ordered = tuple(rates[i] for i in positions) if rates else ()
     kind = kinds[0] if kinds else "velocities"
     return Roles(time[0], ids[0] if ids else None, positions, ordered, kind, tuple(controls))

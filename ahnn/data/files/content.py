@@ -17,7 +17,7 @@ class Column(NamedTuple):
     Attributes:
         name: name of the column.
         role: time, id, position, velocity, momentum, control or ignored.
-        unit: unit of its numbers, or time scale of its epochs; "" for none.
+        unit: unit of its numbers, or time scale of its epochs; "" if there is none.
     """
 
     name: str

@@ -45,7 +45,7 @@ def read_controls(path: Path, space: Space) -> ControlTable:
     said = sidecar.Sidecar() if aside is None else sidecar.parse(decoded(aside, beside), str(beside))
     if said.columns or said.frame:
         place = Place(str(beside))
-        place.refuse("units and controls beside a file of controls", "columns or frame")
+        place.refuse("units and controls in the sidecar of a file of controls", "columns or frame")
     sheet = sheet._replace(header=sidecar.with_units(sheet.header, said, sheet.place))
     times, unit = _times(sheet, space)
     names = [control_named(name, space.controls) for name in sheet.header.names]

@@ -170,7 +170,7 @@ class _CpfReader:
         if moving:
             values = np.concatenate((values, list(self.velocities.values())), axis=1)
         elif self.velocities:
-            note(Remark(Place(self.file), "velocities not used: some positions have none"))
+            note(Remark(Place(self.file), "velocities not used: missing at some positions"))
         times = np.array([(one - start) / epochs.SECOND for one in self.moments])
         track = Track(self.name, self.file, np.array(self.rows), times, values)
         orbit = of_orbits([ordered(track, "record 10", note)], FRAMES["0"], start, weighed=weighed)

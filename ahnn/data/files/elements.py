@@ -139,7 +139,7 @@ def satellite_of(model: Any, one: ElementSets) -> Any:
 
 
 def epoch(one: ElementSets) -> int:
-    """Return the epoch of a set (`epochs.instant`); two-digit years from 57 on belong to the 20th century."""
+    """Return the epoch of a set (`epochs.instant`); two-digit years from 57 belong to the 20th century."""
     text = one.lines[0][EPOCH]
     try:
         year, day, fraction = (int(part) for part in (text[:2], text[2:5], text[6:].rstrip().ljust(8, "0")))

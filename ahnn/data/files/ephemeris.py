@@ -41,7 +41,7 @@ class Covariance(NamedTuple):
     Attributes:
         time: seconds since the start of the ephemeris.
         matrix: (6, 6) covariance, in km and km/s.
-        frame: frame of its components, such as RTN; "" for that of the ephemeris.
+        frame: frame of its components, such as RTN; "": the frame of the ephemeris.
     """
 
     time: float
@@ -53,14 +53,14 @@ class Ephemeris(NamedTuple):
     """One segment of an orbit ephemeris message.
 
     Attributes:
-        object_id, object_name: of the satellite, such as 2009-012A.
+        object_id, object_name: identifiers of the satellite, such as 2009-012A.
         center, frame, time_system: such as EARTH, EME2000 and UTC.
         start: epoch in picoseconds (`epochs.instant`).
         times: (T,) seconds since the start.
         states: (T, 6) positions in km and velocities in km/s.
         covariances: covariances of some of the states.
         rows: (T,) line numbers.
-        frame_epoch: epoch of a frame of date; "" for others.
+        frame_epoch: epoch of a frame of date; "" for all other frames.
     """
 
     object_id: str
@@ -173,7 +173,7 @@ def ephemeris(block: MessageBlock, note: Note = refuse) -> Ephemeris:
 
 
 def useable(block: MessageBlock, moments: list[int], note: Note, *, utc: bool) -> list[bool]:
-    """Return the mask of usable states: others, outside the useable span, only serve interpolation.
+    """Return the mask of usable states; states outside the useable span only serve interpolation.
 
     Raises:
         UserError: an invalid span, or one without states.
@@ -193,7 +193,7 @@ def useable(block: MessageBlock, moments: list[int], note: Note, *, utc: bool) -
             if count == len(moments):
                 block.place.refuse(f"a state from {span}", "none")
             chosen = inside
-            note(Remark(block.place, f"{count} of {len(moments)} states left out, outside {span}"))
+            note(Remark(block.place, f"{count} of {len(moments)} states not used, outside {span}"))
     return chosen
 
 

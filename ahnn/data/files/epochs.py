@@ -1,6 +1,6 @@
 """Calendar epochs as integer picoseconds, without loss of digits and with UTC leap seconds.
 
-The formats are those of CCSDS 301.0 (ASCII time codes A and B).
+The formats follow CCSDS 301.0 (ASCII time codes A and B).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ LEAPS = tuple(
     )
     for year in years
 )
-"""Days since 2000-01-01 that follow a leap second (IERS Bulletin C; none since that of 2016)."""
+"""Days since 2000-01-01 that follow a leap second (IERS Bulletin C; the last one was in 2016)."""
 
 
 def instant(text: str, *, utc: bool) -> int:

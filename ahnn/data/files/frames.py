@@ -52,7 +52,7 @@ def turned(content: Content, frame: str, file: str) -> Content:
         place.refuse(f"the Earth as the centre of {given}", centre[0])
     if content.momenta or len(content.positions) != 3 or unit(content.units.position).dimension != LENGTH:
         place.refuse(
-            "three lengths, with velocities or alone", ", ".join((*content.positions, *content.rates))
+            "three lengths, with or without velocities", ", ".join((*content.positions, *content.rates))
         )
     if content.epoch is None:
         place._replace(column=content.time).refuse("epochs such as 2024-03-01T12:00:00", "numbers")

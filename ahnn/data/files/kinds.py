@@ -94,7 +94,7 @@ SIGNS: tuple[tuple[re.Pattern[str], Kind], ...] = (
 SIGHTING_COLUMNS = re.compile(
     r"(?i)(?=.*[,;\t])(?=.*\b(station|sensor)\b)(?=.*\b(range|elevation|declination)(_|\b))"
 )
-"""Header of a table of what stations measured."""
+"""Header of a table of station measurements."""
 LINES: tuple[tuple[re.Pattern[str], Kind], ...] = (
     (re.compile(r"\s*H1\s+CPF\b", re.IGNORECASE), "cpf"),
     (re.compile(r"\s*H1\s+CRD\b", re.IGNORECASE), "crd"),

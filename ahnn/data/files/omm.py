@@ -25,7 +25,7 @@ SAID = {
     "MEAN_ELEMENT_THEORY": ("SGP4", "SGP/SGP4", "SGP"),
     "EPHEMERIS_TYPE": ("0", "2"),
 }
-"""Values assumed by SGP4; others are rejected. CSV omits the first four."""
+"""Values assumed by SGP4; all other values are rejected. CSV omits the first four."""
 ELEMENTS: dict[str, tuple[float, float, str]] = {
     "MEAN_MOTION": (1e-3, 20.0, "rev/day"),
     "ECCENTRICITY": (0.0, 0.999999999, ""),

@@ -20,7 +20,7 @@ def content_of(path: Path) -> bytes:
 
 
 def decoded(raw: bytes, path: Path) -> str:
-    """Return the text of a file, with newline line endings; raises UserError if it is not text."""
+    """Return the text of a file, with line feeds as line ends; raises UserError if it is not text."""
     try:
         return raw.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:

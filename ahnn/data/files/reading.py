@@ -29,7 +29,7 @@ class FileReading(NamedTuple):
 
     Attributes:
         weighed: whether a mass is stated.
-        frame: target frame of positions and velocities; None for no transformation.
+        frame: target frame of positions and velocities; None: no transformation.
         step, duration: sampling of orbits propagated from element sets, in seconds; None without element
             sets.
     """

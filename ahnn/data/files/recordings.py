@@ -27,7 +27,7 @@ class Recordings(ABC):
         space: description of the state components.
         contents: contents of one kind: positions with momenta or velocities, or positions only.
         mass: factor m of p = m dq/dt; None if unspecified.
-        cut: number of samples of the segments into which trajectories are cut; None for no cutting.
+        cut: number of samples of the segments into which trajectories are cut; None: not cut.
         gap: multiple of the median step that counts as a gap, for samples not on a grid.
         unsound: whether to accept data rejected by `check`.
 
@@ -64,7 +64,7 @@ class Recordings(ABC):
         self._contents = contents
 
     def check(self) -> None:
-        """Raise UserError for data that would spoil a training, unless `unsound` is set."""
+        """Raise UserError for data that would spoil the training, unless `unsound` is set."""
         from ahnn.data.doctor import diagnosis
 
         found = [] if self.unsound else diagnosis(self._contents, self.mass, self.gap)
@@ -97,7 +97,7 @@ class Recordings(ABC):
             if not len(trimmed(track).times):
                 place = Place(track.file, int(track.rows[0]) if len(track.rows) else 0)
                 named = " ".join(("a trajectory", *filter(None, [track.name])))
-                place.refuse(f"{named} with a whole sample", "missing numbers in each")
+                place.refuse(f"{named} with a complete sample", "missing numbers in each")
         parts = [trimmed(part) for track in tracks for part in cut(track, self.cut)]
         parts = [part for part in parts if len(part.times)]
         factor = np.ones(2 * dof)
@@ -120,7 +120,7 @@ def described(space: Space, tracks: list[Track], content: Content) -> str:
     lengths = sorted({int(np.isfinite(track.values).any(1).sum()) for track in tracks})
     samples = f"{lengths[0]:,}" if lengths[0] == lengths[-1] else f"{lengths[0]:,} to {lengths[-1]:,}"
     kind = "momenta" if content.momenta else "velocities"
-    rest = f", {kind} {', '.join(content.rates)}" if content.rates else " alone"
+    rest = f", {kind} {', '.join(content.rates)}" if content.rates else " only"
     rest += f", controls {', '.join(content.controls)}" if content.controls else ""
     return (
         f"{len(tracks)} {'trajectory' if len(tracks) == 1 else 'trajectories'} of {samples} samples, time in "

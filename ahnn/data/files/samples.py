@@ -30,7 +30,7 @@ class Track(NamedTuple):
         rows: (T,) line numbers.
         times: (T,) times.
         values: (T, C) values, NaN where missing.
-        controls: (T, m) controls valid from each sample on; None without controls.
+        controls: (T, m) controls, each valid from its sample; None without controls.
     """
 
     name: str
@@ -88,13 +88,13 @@ def ordered(track: Track, column: str, note: Note = refuse) -> Track:
 
 
 def filled(track: Track, gap: float, *, linear: bool = False) -> Track:
-    """Fill the gaps of a track with missing samples, spaced about as the others.
+    """Fill the gaps of a track with missing samples, spaced about as the present samples.
 
     On a regular grid every missing point is a gap; otherwise every step longer than `gap` times the median.
     Controls continue through a gap, held or interpolated linearly.
 
     Raises:
-        UserError: a gap so long that it separates two trajectories.
+        UserError: a gap long enough to separate two trajectories.
     """
     if len(track.times) < 3:
         return track
@@ -125,7 +125,7 @@ def filled(track: Track, gap: float, *, linear: bool = False) -> Track:
 
 
 def cut(track: Track, samples: int | None) -> list[Track]:
-    """Cut a track into segments of about equal length, near `samples`; None for no cutting."""
+    """Cut a track into segments of about equal length, near `samples`; None: not cut."""
     count = 1 if samples is None else max(1, round(len(track.times) / samples))
     return [track.part(part) for part in np.array_split(np.arange(len(track.times)), count)]
 

@@ -30,9 +30,9 @@ class Files(Recordings):
         path: path of one or several files.
         mass: factor m of p = m dq/dt, in kg (of angles: the inertia in kg m^2), common or per coordinate;
             None for 1, with energies per unit mass.
-        cut: number of samples of the segments into which trajectories are cut; None for no cutting.
+        cut: number of samples of the segments into which trajectories are cut; None: not cut.
         gap: multiple of the median step that counts as a gap, for samples not on a grid.
-        frame: target frame for data of known frame and epoch; None for no transformation.
+        frame: target frame for data of known frame and epoch; None: no transformation.
         step: sampling step of SGP4 orbits from element sets, in seconds.
         duration: duration of these orbits, in seconds.
         unsound: whether to accept data rejected by `check`.

@@ -177,7 +177,7 @@ class _Sp3Reader:
         start = min(min(one.moments) for one in self.orbits.values())
         moving = all(None not in one.velocities for one in self.orbits.values())
         if not moving and any(any(v is not None for v in one.velocities) for one in self.orbits.values()):
-            self.note(Remark(place, "velocities not used: some positions have none"))
+            self.note(Remark(place, "velocities not used: missing at some positions"))
         tracks = [self.track(name, one, start, moving) for name, one in self.orbits.items()]
         found = of_orbits(tracks, f"ITRF, EARTH, {self.clock}", start, weighed=weighed)
         return found if moving else found._replace(rates=())

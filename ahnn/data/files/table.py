@@ -30,7 +30,7 @@ class Place(NamedTuple):
 
     Attributes:
         file: file name.
-        row: line number, from 1; 0 for the whole file.
+        row: line number, from 1; 0 for the entire file.
         column: column name, or "".
     """
 
@@ -79,7 +79,7 @@ class Remark(NamedTuple):
 
 
 Note = Callable[[Fault | Remark], None]
-"""Callback of a reader for recoverable faults: a doctor records them, all others `refuse`."""
+"""Callback of a reader for recoverable faults: a doctor records them, all other callers `refuse`."""
 
 
 def refuse(said: Fault | Remark) -> None:

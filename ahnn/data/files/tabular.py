@@ -94,8 +94,10 @@ def say_unused(header: Header, found: Roles, place: Place, note: Note) -> None:
     if others := [name for name in unused if name not in deviations]:
         note(Remark(place, f"not used, since the sidecar does not name them: {', '.join(others)}"))
     if deviations:
-        what = f"a training does not use standard deviations of single samples: {', '.join(deviations)}"
-        remedy = "Set one for all: sensor=recorded data.noise=...; those of a start are used"
+        what = f"training does not use standard deviations of individual samples: {', '.join(deviations)}"
+        remedy = (
+            "Set one for all: sensor=recorded data.noise=...; the standard deviations of a start are used"
+        )
         note(Remark(place, what, remedy, "warning"))
 
 

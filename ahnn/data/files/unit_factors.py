@@ -26,7 +26,7 @@ class Scales(NamedTuple):
 
 
 def scales(header: Header, roles: Roles, place: Place, *, weighed: bool) -> Scales:
-    """Return units and factors: positions in the unit of the first one, time in that of the first velocity.
+    """Return units and factors: the first position and the first velocity set the units.
 
     Angles are in rad, so that a momentum divided by the inertia is their rate. Momenta are in kg times the
     unit of the velocities (of angles: kg m^2/s, the inertia in kg m^2).
@@ -97,7 +97,7 @@ def wrong(header: Header, column: int, place: Place, expected: str) -> NoReturn:
 
 
 def time_unit(rate: str, clock: Unit) -> Unit:
-    """Return the time unit of a rate, so that rates need no conversion; without one that of the times."""
+    """Return the time unit of a rate, so that rates need no conversion; without rates, the unit of time."""
     last = rate.rpartition("/")[2].strip() if "/" in rate else ""
     try:
         found = unit(last)

@@ -56,8 +56,8 @@ def make_force(name: str, dof: int, controls: int, options: Mapping[str, Any]) -
     kind = own.pop("kind", name)
     if kind not in FORCES:
         message = (
-            f"forces.{name}: expected kind, one of {', '.join(FORCES)}; received {kind!r}. Others are those "
-            f"of installed packages that declare them in the entry-point group {FORCES.group}"
+            f"forces.{name}: expected kind, one of {', '.join(FORCES)}; received {kind!r}. Installed "
+            f"packages add kinds in the entry-point group {FORCES.group}"
         )
         raise UserError(message)
     check_arguments(f"forces.{name}", FORCES[kind], own, ("dof", "controls"))

@@ -51,7 +51,7 @@ class Actuation(Force):
         self.assumes = "control matrix" if matrix is None else "known control matrix"
         self.register_buffer("unit", torch.ones(controls))
         if matrix is not None and of != "constant":
-            message = f"actuation: expected no matrix beside of={of}; received {matrix}"
+            message = f"actuation: expected no matrix with of={of}; received {matrix}"
             raise UserError(message)
         if matrix is not None:
             if [len(row) for row in matrix] != [controls] * dof:

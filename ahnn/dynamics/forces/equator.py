@@ -26,8 +26,8 @@ class EllipticEquator(Force):
         controls: not used.
         mu: gravitational parameter.
         radius: equatorial radius R, in the unit of the positions.
-        angle: from the first axis to the prime meridian at time zero, rad.
-        rate: of that angle, rad per unit of time.
+        angle: angle from the first axis to the prime meridian at time zero, rad.
+        rate: rate of that angle, rad per unit of time.
         cosine: C; None to learn C and S.
         sine: S, likewise.
 

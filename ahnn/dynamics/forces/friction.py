@@ -56,7 +56,7 @@ class Friction(Force):
         self.dof, self.of, self.known = dof, of, None
         self.assumes = "friction"
         if of != "constant" and coefficient is not None:
-            message = f"friction: expected no coefficient beside of={of}; received {coefficient}"
+            message = f"friction: expected no coefficient with of={of}; received {coefficient}"
             raise UserError(message)
         if of == "matrix":
             self.lower = nn.Parameter(FIRST**0.5 * torch.eye(dof)[*torch.tril_indices(dof, dof)])

@@ -46,7 +46,9 @@ class NetworkForce(Force):
         super().__init__()
         sizes = {"t": 1, "u": controls, "q": dof, "v": dof}
         if not sees or len({*sees}) < len(sees):
-            message = f"network force: expected sees, some of q, v, t and u, each once; received {sees}"
+            message = (
+                f"network force: expected sees, one or more of q, v, t and u, each once; received {sees}"
+            )
             raise UserError(message)
         self.sees = [name for name in sizes if name in sees]
         self.timed, self.controlled = "t" in sees, "u" in sees  # pyright: ignore[reportAttributeAccessIssue]

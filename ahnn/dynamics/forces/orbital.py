@@ -19,7 +19,7 @@ class OrbitalForce(Force):
 
     a, b and c are polynomials of h^2 / (mu r) - 1 and h v_r / mu, with h the angular momentum and v_r the
     radial velocity: in two-body motion e cos f and e sin f, of eccentricity and true anomaly. Their
-    coefficients are learned, zero at first, and such a force can do what none of positions alone does.
+    coefficients are learned, zero at first. No force that depends only on positions has this form.
 
     Args:
         dof: 3.

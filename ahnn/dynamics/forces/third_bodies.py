@@ -1,4 +1,4 @@
-"""The pull of bodies whose places are known: Sun and Moon on a satellite, planets on each other."""
+"""Attraction by bodies at known positions: Sun and Moon on a satellite, planets on each other."""
 
 from __future__ import annotations
 
@@ -17,35 +17,35 @@ from ahnn.optional_libraries import library
 PARAMETERS = {"sun": "GMS", "mercury": "GM1", "venus": "GM2", "earthmoon": "GMB", "earth": "GMB"}
 PARAMETERS |= {"moon": "GMB", "mars": "GM4", "jupiter": "GM5", "saturn": "GM6", "uranus": "GM7"}
 PARAMETERS |= {"neptune": "GM8", "pluto": "GM9"}
-"""Constant of DE421 that has the gravitational parameter of each body, or of Earth and Moon together."""
+"""Constant of DE421 with the gravitational parameter of each body, or of Earth and Moon together."""
 MARGIN = 2
-"""Nodes beyond the span that is asked for, before and after."""
+"""Nodes before and after the requested span."""
 
 
 @final
 @checked
 class ThirdBodies(Force):
-    """The attraction by bodies of DE421, less that by which they move the centre (Montenbruck & Gill, 3.37).
+    """Attraction by bodies of DE421, minus their attraction of the centre (Montenbruck & Gill, 3.37).
 
-    m sum_j mu_j ((r_j - q) / |r_j - q|^3 - r_j / r_j^3), in the axes of ICRF. A body nearer than `own` to
-    one of them is that one: it does not pull itself, and the second part is what its own mass adds to the
-    motion about the centre.
+    m sum_j mu_j ((r_j - q) / |r_j - q|^3 - r_j / r_j^3), in the axes of ICRF. A body closer than `own` to one
+    of them is identified with it: it does not attract itself, and the second part is the contribution of its
+    own mass to the motion about the centre.
 
     Args:
         dof: 3.
         controls: not used.
-        bodies: names in DE421, whose masses are taken, too; `earthmoon` is the barycentre of both.
-        center: name of the body at the origin, `sun` or `earth` among others.
+        bodies: names in DE421, which also defines their masses; `earthmoon` is the barycentre of both.
+        center: name of the body at the origin, for example `sun` or `earth`.
         epoch: Julian date, TDB, of time zero.
-        span: first and last time at which the force is wanted.
-        spacing: between times at which places are tabulated; cubics connect them.
+        span: first and last time at which the force is defined.
+        spacing: time between tabulated positions, interpolated by cubics.
         day: units of time in a day.
         length: km in a unit of the positions.
-        own: distance below which a body does not pull.
-        mass: m, of the moving body.
+        own: distance below which a body does not attract.
+        mass: mass m of the moving body.
 
     Raises:
-        UserError: other than three coordinates, bodies or dates that DE421 does not have, or no DE421.
+        UserError: other than three coordinates, bodies or dates missing in DE421, or DE421 is missing.
     """
 
     timed: ClassVar[bool] = True
@@ -89,11 +89,11 @@ class ThirdBodies(Force):
         self.table = torch.from_numpy(np.stack(found, 1) * scale)
 
     def places(self, t: Tensor) -> Tensor:
-        """Return where the bodies are at times (..., 1), (..., J, 3); NaN beyond the span."""
+        """Return the positions of the bodies at times (..., 1), (..., J, 3); NaN beyond the span."""
         return self._motion(t)[0]
 
     def _motion(self, t: Tensor) -> tuple[Tensor, Tensor]:
-        """Return places and velocities at times (..., 1), (..., J, 3) each; NaN beyond the span."""
+        """Return positions and velocities at times (..., 1), (..., J, 3) each; NaN beyond the span."""
         since = (t[..., 0].double() - self.begin) / self.spacing
         node = since.floor().clamp(0, self.nodes - 2)
         s = (since - node)[..., None, None]
@@ -114,7 +114,7 @@ class ThirdBodies(Force):
         return (self.strengths.to(body.device).unsqueeze(-1) * pulls).sum(-2).to(at.q)
 
     def variation(self, at: Instant, by: Instant) -> Tensor:
-        """Return the variation with place and time, shape (B, R, 3)."""
+        """Return the variation with position and time, shape (B, R, 3)."""
         body, velocity = (part.unsqueeze(1) for part in self._motion(at.t))  # (B, 1, J, 3)
         shift = velocity * by.t.unsqueeze(-1) if by.t.shape[-1] else torch.zeros_like(body)
         line = body - at.q[:, None, None]
@@ -134,12 +134,12 @@ def opened(names: list[str], epoch: float, days: NDArray[np.float64]) -> Any:
     """Return DE421.
 
     Args:
-        names: of bodies, the centre first.
+        names: names of bodies, the centre first.
         epoch: Julian date.
-        days: after it, (K,).
+        days: days after it, (K,).
 
     Raises:
-        UserError: it is missing, or does not have a body or the dates, or the centre is among the bodies.
+        UserError: it is missing, lacks a body or the dates, or the centre is among the bodies.
     """
     data = library("de421", "de421", "ephemeris", "third_bodies")
     ephemeris = library("jplephem.ephem", "jplephem", "ephemeris", "third_bodies").Ephemeris(data)

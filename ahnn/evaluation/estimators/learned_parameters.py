@@ -41,7 +41,7 @@ def parameters_as_states(
 
     Args:
         dynamics: dynamics with the parameters.
-        chosen: chosen directions, and the contribution of the others.
+        chosen: chosen directions, and the contribution of the omitted ones.
         growth: factor (...) on the effect of the parameters at states (..., D); None for 1 everywhere.
     """
     directions, left_out = chosen

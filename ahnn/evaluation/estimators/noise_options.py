@@ -99,7 +99,7 @@ def given_noise(
         space: description of the state components.
         growth: factor (...) on the error at states (..., D); None for 1 everywhere.
         flow: process model.
-        known: covariance of its parameters, if available.
+        known: covariance of the parameters of `flow`, if available.
 
     Raises:
         UserError: the training did not save the least observable parameters.
@@ -123,8 +123,8 @@ def online_parameters(
     dynamics, known = uncertainty.before or (cast(Dynamics, flow), uncertainty)
     if known.directions is None:
         message = (
-            "process_noise: expected a training that stored its least observable parameters; received "
-            "one of an earlier version, or without measurements. Train again, or use plugins=ukf"
+            "process_noise: expected a run that stored its least observable parameters; received one of an "
+            "earlier version, or without measurements. Train again, or use plugins=ukf"
         )
         raise UserError(message)
     return parameters_as_states(dynamics, Chosen(known.directions, 0.0), growth)
@@ -156,16 +156,16 @@ def with_process_noise(
         plain: filter without process noise.
         case: evaluated case.
         setting: measurement settings and P0.
-        arcs: function that returns a number of whole validation trajectories for the choice of a scale.
-        rate: growth rate of a force error with the square of novelty - 1; None for no growth.
+        arcs: function that returns a number of full validation trajectories for the choice of a scale.
+        rate: growth rate of a force error with the square of novelty - 1; None: no growth.
 
     Raises:
         UserError: the model contains no representative training states.
     """
     if isinstance(option, ParameterOptions) and case.uncertainty is None:
         log.warning(
-            "process_noise: parameter_error needs a covariance of the parameters, which a training "
-            "stores if it explains its measurements; there is none, so force_error is used"
+            "process_noise: parameter_error needs a covariance of the parameters, stored by training that "
+            "explains its measurements; there is none, so force_error is used"
         )
         option = ForceOptions()
     if isinstance(option, ParameterOptions):
@@ -202,7 +202,10 @@ def grown(
     if rate is None:
         return None
     if novelty is None:
-        message = "novelty: expected weights that describe their training data; received others"
+        message = (
+            "novelty: expected weights that describe their training data; received weights without a "
+            "description"
+        )
         raise UserError(message)
     return lambda x: growth(novelty(x), rate)
 
@@ -212,7 +215,7 @@ def require_truth(option: NoiseOption, truth: System | None) -> None:
     if truth is None:
         received = {"ForceOptions": "force_error", "ParameterOptions": "no covariance of the parameters"}
         message = (
-            "process_noise: expected parameter_error, after a training on measurements, or standard "
+            "process_noise: expected parameter_error, after training on measurements, or standard "
             "deviations, for data without known true states; received "
             f"{received.get(type(option).__name__, option)}. Use plugins=ukf_parameter_error or "
             "plugins.ukf.process_noise=[POSITION,VELOCITY]"

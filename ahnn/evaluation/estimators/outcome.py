@@ -36,7 +36,7 @@ class Outcome(NamedTuple):
     """Outcome of a filter, or its smoother, on the test trajectories of one scenario.
 
     Attributes:
-        who: identity of its row over the whole arc.
+        who: identity of its row over the entire arc.
         estimate: (B, T + 1, D) after updates, the start first; NaN for a failed member.
         chol: (B, T + 1, D, D) lower factors of the filter's covariance.
         nees: (B, T + 1) normalised estimation error squared.
@@ -116,7 +116,7 @@ def _outcome(
 
 
 def rows(outcome: Outcome, case: Case, without: Scores | None) -> list[Row]:
-    """Return the rows of an outcome: over the whole arc, and from the first update on.
+    """Return the rows of an outcome: over the entire arc, and after the first update.
 
     Args:
         outcome: outcome of a filter.
@@ -168,7 +168,7 @@ def _worse(scores: Scores, without: Scores, space: Space) -> list[str]:
 
 
 def _consistency_remark(outcome: Outcome, case: Case) -> str:
-    """Return a remark on mean NEES and NIS relative to their bands, from the first update on.
+    """Return a remark on mean NEES and NIS relative to their bands, after the first update.
 
     Also includes the mean NEES of each phase of the motion in which it is outside the band.
     """
@@ -192,12 +192,12 @@ def _consistency_remark(outcome: Outcome, case: Case) -> str:
 
 
 def _nees(outcome: Outcome) -> Judged:
-    """Return the mean NEES over members and times from the first update on."""
+    """Return the mean NEES over members and times after the first update."""
     return judged_nees(outcome.nees[:, outcome.first :], outcome.estimate.shape[-1])
 
 
 def _phases(outcome: Outcome, case: Case) -> dict[str, Judged]:
-    """Return the mean NEES, from the first update on, in each phase of the motion that occurs."""
+    """Return the mean NEES, after the first update, in each phase of the motion that occurs."""
     if case.truth is None:
         return {}
     first, size = outcome.first, outcome.estimate.shape[-1]
@@ -212,10 +212,10 @@ def _phases(outcome: Outcome, case: Case) -> dict[str, Judged]:
 def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
     """Return the metrics.json entry of an outcome as plain values.
 
-    Means are over trajectories and over times from the first update on; `band_95` is the 95 % band of such a
+    Means are over trajectories and over times after the first update; `band_95` is the 95 % band of such a
     mean for a consistent filter. `in_band` is the fraction of times at which the mean over trajectories is
-    within its band, `one_time_band_95` of the NEES; that of the NIS counts the numbers measured at the time.
-    `nees_of_phases` is the NEES by `System.phases`, `nees_of_start` that at time zero.
+    within its band, `one_time_band_95` for the NEES; the band of the NIS uses the count of numbers measured.
+    `nees_of_phases` is the NEES by `System.phases`, `nees_of_start` the NEES at time zero.
     """
     result, first = outcome.result, outcome.first
     error = outcome.estimate - case.test.states

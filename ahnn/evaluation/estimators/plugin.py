@@ -54,7 +54,7 @@ class EstimatorEvaluation:
     """Evaluation of an estimator with the model as process model, and with the exact dynamics.
 
     Two scenarios, `true` and `perturbed` start, use noisy measurements of the test trajectories; the noise
-    depends on the seed alone, so that all models and estimators receive the same measurements.
+    depends only on the seed, so that all models and estimators receive the same measurements.
 
     Args:
         estimator: estimator without gate.
@@ -64,18 +64,18 @@ class EstimatorEvaluation:
         measurement_sd: standard deviation of each measured component, or a common one; None for the system's
             default, for positions.
         bias_sd: standard deviations of measurement biases, common or per component, 0 for no bias: biases are
-            simulated, and estimated with the state. None for no biases.
+            simulated, and estimated with the state. None: no biases.
         bias_memory: time constants of drifting biases or coloured noise; None for constant biases.
         start_sd: standard deviations of the initial error, for P0: one for each component, or one for
             positions and one for velocities; None for the system's default for perturbed starts.
         process_noise: `fitted` to validation data; standard deviations [position, velocity] of the error
             of one step; `force_error`, relative and with memory, or `{size: ..., memory: ...}` to fix one of
             them; or `parameter_error`: learned parameters as filter states, with their covariance as prior.
-        novelty: growth rate of the force error with the square of novelty - 1, such as 500; None for no
-            growth. Requires `force_error` or `parameter_error`.
-        gate: probability of the chi-square gate for outliers; None for no gate.
+        novelty: growth rate of the force error with the square of novelty - 1, such as 500; None: no growth.
+            Requires `force_error` or `parameter_error`.
+        gate: probability of the chi-square gate for outliers; None: no gate.
         patience: number of consecutive rejections after which a member has diverged.
-        smoother: whether to add the smoother's rows; a name adds those of all smoothers up to it.
+        smoother: whether to add the smoother's rows; a name adds the rows of all smoothers up to it.
         least_squares: whether to add the rows of batch least squares.
         seed: seed of measurement noise and of the validation arcs.
         beside: a similar system for data with unknown equations: it is filtered for comparison, with its own
@@ -104,7 +104,7 @@ class EstimatorEvaluation:
     ) -> None:
         require_measurement(measurement)
         self.beside, self.seed, self.least_squares = beside, seed, least_squares
-        self.patience = patience  # of the gate of a stream, too
+        self.patience = patience  # also for the gate of a stream
         self.estimator = estimator.gated(None if gate is None else Gate(gate, patience))
         self.smoothers = asked_smoothers(smoother, self.estimator)
         self.process_noise: NoiseOption = noise_option(process_noise)
@@ -236,7 +236,7 @@ class EstimatorEvaluation:
         return outcomes
 
     def _filters(self, case: Case, setting: Setting, findings: Findings) -> list[tuple[Who, Filter]]:
-        """Return the filters of the table: the model's, its further variants, and the floor."""
+        """Return the filters of the table: the model's filter, its variants, and the floor."""
         r, size = setting.measurement_noise, case.test.states.shape[-1]
         nothing = torch.zeros(size, size, dtype=torch.float64)
         name = self.estimator.name
@@ -263,7 +263,7 @@ class EstimatorEvaluation:
 
     def arcs(self, case: Case, setting: Setting, count: int, steps: int | None, seed: int) -> Problem:
         """Return arcs of a limited number of validation trajectories, used for tuning only."""
-        if steps is not None and clock_of(case.flow):  # arcs begin anywhere, and a filter at time zero
+        if steps is not None and clock_of(case.flow):  # arcs begin at any time, a filter at zero
             message = f"tuning.steps: expected null with forces that depend on time; received {steps}"
             raise UserError(message)
         data = case.validation

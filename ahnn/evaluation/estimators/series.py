@@ -58,7 +58,7 @@ def blocks(x: Tensor, inertia: float | Tensor) -> tuple[Tensor, Tensor]:
 def rms_over_members(error: Tensor, inertia: float | Tensor) -> Tensor:
     """Return the rms over active members of the error norms of position and velocity, (2, T).
 
-    Failed members are excluded from their failure on; their number is in the table.
+    Failed members are excluded after their failure; their number is in the table.
     """
     norms = [block.square().sum(-1).nanmean(0).sqrt() for block in blocks(error, inertia)]
     return torch.stack(norms)

@@ -1,4 +1,4 @@
-"""TensorBoard events of an evaluation outside a training."""
+"""TensorBoard events of an evaluation outside training."""
 
 from __future__ import annotations
 

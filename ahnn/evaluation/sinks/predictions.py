@@ -17,7 +17,7 @@ from ahnn.manifest import remove_own
 @final
 @dataclass(frozen=True)
 class PredictionSink:
-    """Writes the arrays of an evaluation, or removes those of an earlier one.
+    """Writes the arrays of an evaluation, or removes the arrays of an earlier one.
 
     Attributes:
         folder: folder of the evaluation.

@@ -45,7 +45,7 @@ class GravityField:
     def of_rows(
         cls, name: str, mu: float, radius: float, rows: Sequence[tuple[int, int, float, float]], tide: Tide
     ) -> GravityField:
-        """Build the field from rows n, m, C_nm, S_nm, fully normalised; C_00 is 1, others default to 0."""
+        """Build the field from rows n, m, C_nm, S_nm, fully normalised. Defaults: C_00 1, the rest 0."""
         size = 1 + max(row[0] for row in rows)
         cosines, sines = np.zeros((2, size, size))
         cosines[0, 0] = 1.0

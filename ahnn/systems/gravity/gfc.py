@@ -41,7 +41,7 @@ DENSITIES, STONES, SMALL = (10.0, 1e5), 4500.0, 1e5
 MASS, OFFSET = 1e-4, 1e-6
 """Tolerance of C of degree 0, and of coefficients of degree 1: 11 m on the Earth."""
 CONVENTION: dict[Index, Coefficient] = {(0, 0): (1.0, 0.0), (1, 0): (0.0, 0.0), (1, 1): (0.0, 0.0)}
-"""Optional coefficients: the mass is that of mu, the origin the centre of mass."""
+"""Optional coefficients: mu is the constant of the entire mass, the origin is the centre of mass."""
 
 
 def read_gfc(path: Path | str, epoch: str | None = None) -> GravityField:
@@ -144,7 +144,7 @@ def assembled(
 
 def require_body(mu: float, radius: float, head: Mapping[str, CoefficientLine]) -> None:
     """Raise UserError for an impossible mass and radius, for example with numbers in km."""
-    with np.errstate(over="ignore"):  # not those of any body
+    with np.errstate(over="ignore"):  # values of no real body
         density = np.float64(mu) / (4 / 3 * pi * NEWTON * np.float64(radius) ** 3)
     low, high = DENSITIES
     if not low <= density <= (STONES if radius < SMALL else high):
@@ -161,7 +161,7 @@ def require_centred(cosines: Coefficients, sines: Coefficients, file: Coefficien
     """Raise UserError for coefficients that do not refer to the body's centre of mass."""
     if abs(cosines[0, 0] - 1) > MASS:
         file.refuse(
-            "C of n, m = (0, 0) = 1, since the constant GM is that of the whole mass", f"{cosines[0, 0]:g}"
+            "C of n, m = (0, 0) = 1, since GM is the constant of the entire mass", f"{cosines[0, 0]:g}"
         )
     first = max(abs(cosines[1, :2]).max(), abs(sines[1, 1]))
     if first > OFFSET:

@@ -40,7 +40,7 @@ class Factors(NamedTuple):
 def solid_harmonics(q: Tensor, radius: float, degree: int, order: int) -> Tensor:
     """Return complex V_nm + i W_nm for all degrees up to `degree` and orders up to `order`, (..., K).
 
-    Sorted by degree, then by order, as by `in_a_row`.
+    Sorted by degree, then by order, as in `in_a_row`.
 
     Args:
         q: positions, (..., 3), from the centre.

@@ -26,7 +26,7 @@ class CoefficientLine(NamedTuple):
 
     Attributes:
         file: file name.
-        row: line number from 1; 0 for the whole file.
+        row: line number from 1; 0 for the entire file.
         words: words of the line.
     """
 

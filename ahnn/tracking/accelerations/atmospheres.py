@@ -73,7 +73,7 @@ def exponential(t: float, r: Array) -> tuple[Array, Array]:
 
 
 class HarrisPriester:
-    """Density between those of night and day, with a bulge behind the Sun; heights are above a sphere.
+    """Density between its night and day values, with a bulge behind the Sun; heights are above a sphere.
 
     Args:
         sun: t -> (3,) geocentric position, of any length.
@@ -107,7 +107,7 @@ def atmosphere(height: Array) -> tuple[Array, Array]:
 
 
 def tabulated(height: Array, densities: Array) -> tuple[Array, Array]:
-    """Return densities at heights in km, exponential between those of a table and beyond, and derivatives."""
+    """Return densities at heights in km, exponential between rows of a table and beyond, and derivatives."""
     k = np.clip(np.searchsorted(HEIGHTS, height, side="right") - 1, 0, len(HEIGHTS) - 2)
     rate = np.log(densities[k + 1] / densities[k]) / (HEIGHTS[k + 1] - HEIGHTS[k])
     found = densities[k] * np.exp(rate * (height - HEIGHTS[k]))

@@ -17,8 +17,8 @@ class Acceleration(NamedTuple):
     Attributes:
         value: (..., 3).
         by_position: its derivatives by the position, (..., 3, 3).
-        by_velocity: by the velocity, (..., 3, 3); (3, 3) where it is zero.
-        by_parameters: by the term's own parameters, (..., 3, P); (3, 0) where there are none.
+        by_velocity: derivative by the velocity, (..., 3, 3); (3, 3) if it is zero.
+        by_parameters: derivative by the parameters of the term, (..., 3, P); (3, 0) if there are none.
     """
 
     value: Array

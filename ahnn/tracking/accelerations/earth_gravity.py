@@ -45,7 +45,7 @@ Recursion = tuple[tuple[Array, Array, float], ...]
 
 
 def recursion(degree: int, order: int) -> Recursion:
-    """Return the factors of `ahnn.systems.gravity.harmonics` for single points."""
+    """Return the factors of `ahnn.systems.gravity.harmonics` for individual points."""
     found = []
     for n in range(1, degree + 1):
         m = np.arange(min(n - 1, order) + 1)

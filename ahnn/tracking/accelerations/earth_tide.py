@@ -37,7 +37,7 @@ class EarthTide:
         e, square = body / away, inner(r, r)
         s = inner(r, e)
         factor = 0.5 * LOVE * self.mu * RADIUS**5 / away**3
-        # Potential factor (3 s^2 / r^5 - 1 / r^3), its gradient and the gradient of that.
+        # Potential factor (3 s^2 / r^5 - 1 / r^3), its gradient and Hessian.
         r5 = square**2.5
         c, b = (3.0 - 15.0 * s**2 / square) / r5, 6.0 * s / r5
         value = factor * (c * r + b * e)

@@ -1,4 +1,4 @@
-"""Third-body perturbation: attraction of the satellite minus that of the Earth."""
+"""Third-body perturbation: attraction of the satellite minus attraction of the Earth."""
 
 from __future__ import annotations
 

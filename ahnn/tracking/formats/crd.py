@@ -32,7 +32,12 @@ STATION = re.compile(r"\s*(.*?)\s*(\d{4,5})\s+(\d+)\s+(\d+)\s+(\d+)(\s+\S+)?\s*"
 TARGET = re.compile(r"\s*(.+?)\s+(\d+)\s+(-?\d+|na)\s+(-?\d+|na)\s+([012])\s+(\d)(\s+\S+)?\s*", re.IGNORECASE)
 TYPES = {"0": "full-rate data", "2": "sampled engineering data"}
 FLAGS = (
-    (14, "0", "refraction not yet corrected", "Ask for normal points, whose standard leaves it to the user"),
+    (
+        14,
+        "0",
+        "refraction not yet corrected",
+        "Ask for normal points without this correction",
+    ),
     (15, "0", "ranges to the reflectors, not to the centre of mass", ""),
     (17, "1", "the station's delay corrected", ""),
     (19, "2", "two-way ranges (range type 2)", ""),
@@ -52,7 +57,7 @@ UNUSED = {
     **{f"c{k}": "descriptions of instruments" for k in range(1, 8)},
     "h5": "names of predictions",
 }
-"""Records that are not needed; those from 90 to 99 are station-specific."""
+"""Records that are not needed; 90 to 99 are station-specific."""
 SLACK = 120 * epochs.SECOND
 """Tolerance by which a normal point may lie outside the times of its session."""
 

@@ -1,4 +1,4 @@
-"""Collection of single measurements from readers into the tracking data of one satellite."""
+"""Collection of individual measurements from readers into the tracking data of one satellite."""
 
 from __future__ import annotations
 
@@ -90,8 +90,8 @@ def gathered(
 
     Args:
         name: name of the satellite.
-        readings: readings in any order; time zero is that of the first.
-        event: event tagged by their times.
+        readings: readings in any order; the first sets time zero.
+        event: event tagged by the times.
         remarks: remarks on unused content of the file.
     """
     ranked = sorted(readings, key=lambda one: one.moment)

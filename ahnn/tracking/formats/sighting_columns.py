@@ -3,8 +3,8 @@
     time,station,range_km,azimuth_deg,elevation_deg
     2010-11-02T03:00:13.3851,Uralla,38014.9488,211.1446,43.4099
 
-Units are behind the names, `range [km]` is the same, or in the sidecar of `station_table`, which also says
-which event the times are of. Columns `sd_range` and so on have standard deviations, `object` a satellite.
+Units follow the names, as in `range [km]`, or are in the sidecar of `station_table`, which also names the
+event tagged by the times. Columns such as `sd_range` contain standard deviations, `object` names a satellite.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def roles_of(
 
 
 def factor_of(kind: Kind, unit: str | None, place: Place) -> float:
-    """Return the factor of a unit to that of a kind; raises UserError."""
+    """Return the factor of a unit to the unit of a kind; raises UserError."""
     if unit is None:
         example = "deg" if UNITS[kind] == "rad" else UNITS[kind]
         place.refuse(f"a unit, such as {kind} [{example}]", "none")

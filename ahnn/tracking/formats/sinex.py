@@ -106,7 +106,7 @@ def sinex_stations(text: str, file: str) -> StationCatalogue:
 
 
 def _estimate(blocks: _Blocks, line: str, place: Place) -> None:
-    """Read a line of SOLUTION/ESTIMATE; parameters other than those of stations are skipped."""
+    """Read a line of SOLUTION/ESTIMATE; parameters that do not belong to stations are skipped."""
     cells = line.split()
     if len(cells) < 2 or cells[1] not in UNIT:
         if len(cells) < 9 or not cells[0].isdigit():
@@ -123,7 +123,7 @@ def _estimate(blocks: _Blocks, line: str, place: Place) -> None:
     value = within(cells[8], place._replace(column=f"{kind} of {cells[2]}"), low, high)
     one = blocks.estimates.setdefault(key, SinexEstimate(place, reference, {}))
     if kind in one.values or one.reference != reference:
-        place.refuse(f"each type of a solution once, at one epoch ({kind} of {cells[2]})", "another")
+        place.refuse(f"each type of a solution once, at one epoch ({kind} of {cells[2]})", "a second")
     one.values[kind] = value
 
 

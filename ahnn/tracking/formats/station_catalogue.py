@@ -88,13 +88,13 @@ class StationCatalogue:
         when = epochs.spelled(moment, utc=True)
         if code not in self.solutions:
             guess = nearest(code, tuple(self.solutions))
-            among = f"its position among those of {len(self.solutions)} stations"
+            among = f"its position among {len(self.solutions)} stations"
             message = f"station {code}: expected {among}; received none{guess}"
             raise UserError(message)
         began = [one for one in self.solutions[code] if one.start is None or one.start <= moment]
         if not began:
             first = epochs.spelled(self.solutions[code][0].start or 0, utc=True)
-            message = f"station {code}: expected a solution of {when}; received solutions from {first} on"
+            message = f"station {code}: expected a solution of {when}; received solutions starting at {first}"
             raise UserError(message)
         marker = began[-1].at(moment)
         if not self.eccentricities:

@@ -1,6 +1,6 @@
 """Tracking data messages (CCSDS 503.0-B): ranges, range rates and angles of two-way and one-way links.
 
-The standard leaves open whether two-way ranges and rates refer to the whole path or half of it; here this is
+The standard leaves open whether two-way ranges and rates refer to the full path or half of it; here this is
 an option, by default half.
 """
 
@@ -34,7 +34,7 @@ def read_tdm(path: str | Path, two_way: TwoWay | None = None) -> list[TrackingDa
 
     Args:
         path: path of the file, in either notation.
-        two_way: path of two-way ranges and rates, half or whole; None for that of a sidecar, else half.
+        two_way: path of two-way ranges and rates, half or whole; None: as in the sidecar, else half.
 
     Raises:
         UserError: an error, with its line number.
@@ -126,11 +126,11 @@ def _of_integration(readings: list[TrackingReading], interval: float) -> str:
         return what
     slopes = np.diff([value for _, value in ranked]) / np.diff(times)
     bends = 2 * np.diff(slopes) / (times[2:] - times[:-2])
-    return f"{what}, off by up to about {1e6 * interval**2 / 24 * np.abs(bends).max():.2g} mm/s"
+    return f"{what}, with an error of up to about {1e6 * interval**2 / 24 * np.abs(bends).max():.2g} mm/s"
 
 
 def _add_weather(segment: TdmSegment, weather: WeatherSeries, note: Note) -> None:
-    """Add the weather of a segment to that of its station."""
+    """Add the weather of a segment to the series of its station."""
     for row, key, epoch, text in segment.records:
         if key in WEATHER:
             place = Place(segment.place.file, row, key)

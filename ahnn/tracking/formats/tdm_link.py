@@ -123,7 +123,7 @@ def link_of(segment: TdmSegment, two_way: str) -> TdmLink:
     _judge_integration(link, meta, place)
     _judge_corrections(link, meta, place)
     if any(key.startswith(("RANGE", "DOPPLER")) for _, key, _, _ in segment.records) and ways == 2:
-        link.remarks.append(f"ranges and rates of two-way links taken as those of {_way(two_way)}")
+        link.remarks.append(f"ranges and rates of two-way links taken for {_way(two_way)}")
     if meta.get("DATA_QUALITY") == "DEGRADED":
         link.remarks.append("DATA_QUALITY = DEGRADED")
     for key in meta:
@@ -133,7 +133,7 @@ def link_of(segment: TdmSegment, two_way: str) -> TdmLink:
 
 
 def _way(two_way: str) -> str:
-    return "the whole way there and back" if two_way == "whole" else "half the way there and back"
+    return "the round trip" if two_way == "whole" else "half the round trip"
 
 
 def tdm_clock(segment: TdmSegment) -> str:
@@ -163,7 +163,7 @@ def _participants(meta: dict[str, str], place: Place) -> tuple[str, str, int]:
 
 
 def _judge_ranges(link: TdmLink, meta: dict[str, str], place: Place) -> None:
-    """Mark unreadable ranges: ambiguous ones, those in station-specific units, and delayed ones."""
+    """Mark unreadable ranges: ambiguous, in station-specific units, or delayed."""
     if link.units not in ("km", "s"):
         link.blocked["RANGE"] = "RANGE_UNITS = km or s", repr(link.units)
     if _number(meta, "RANGE_MODULUS", place) != 0:
@@ -172,7 +172,7 @@ def _judge_ranges(link: TdmLink, meta: dict[str, str], place: Place) -> None:
         for name in ("TRANSMIT_DELAY", "RECEIVE_DELAY"):
             if _number(meta, f"{name}_{k}", place) != 0:
                 link.blocked["RANGE"] = (
-                    "ranges without delays, that are in them",
+                    "ranges that contain no delays",
                     f"{name}_{k} = {meta[f'{name}_{k}']}",
                 )
 
@@ -208,7 +208,7 @@ def _judge_corrections(link: TdmLink, meta: dict[str, str], place: Place) -> Non
         return
     applied = meta.get("CORRECTIONS_APPLIED", "")
     if applied not in ("YES", "NO"):
-        _wrong(place, "CORRECTIONS_APPLIED", "YES or NO beside corrections", applied or "none")
+        _wrong(place, "CORRECTIONS_APPLIED", "YES or NO with corrections", applied or "none")
     if applied == "NO":
         for key, value in given.items():
             link.corrections |= dict.fromkeys(CORRECTED.get(key, ()), value)

@@ -17,7 +17,7 @@ from ahnn.tracking.formats.instants import CLOCKS
 from ahnn.tracking.tracking_data import Event, Kind
 
 TwoWay = Literal["half", "whole"]
-"""Path of a two-way range: half of it, or the whole."""
+"""Path of a two-way range: half of it, or all of it."""
 COLUMNS: dict[str, tuple[Kind, ...]] = {
     "RANGE": ("range",),
     "RANGE_RATE": ("range_rate",),

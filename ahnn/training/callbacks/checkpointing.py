@@ -31,7 +31,7 @@ def require_monitored(who: str, name: str, trainer: Trainer) -> None:
 class BestPoint(Checkpoint):
     """Writes best.ckpt after each validation with the smallest value so far.
 
-    It includes a validation before the first step, which trainings that begin at known physics have.
+    It includes the validation before the first step of training runs that begin at known physics.
 
     Args:
         folder: folder of best.ckpt. It is not part of the state, so that a run may be moved.
@@ -81,7 +81,7 @@ class ResumePoint(Checkpoint):
     """Writes last.ckpt every few steps, after each validation, and when a scheduler terminates the process.
 
     Never between the last step of an epoch and its validation: Lightning would skip that validation on
-    resumption, and the best checkpoint would differ from that of an uninterrupted run. SIGTERM and SIGHUP are
+    resumption, and the best checkpoint would differ from an uninterrupted run. SIGTERM and SIGHUP are
     therefore deferred to the next resumable step; a second signal is not.
 
     Args:

@@ -1,4 +1,4 @@
-"""Weights averaged over the steps of an epoch: single batches scatter about the optimum of all."""
+"""Weights averaged over the steps of an epoch: individual batches scatter about the optimum of all."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from ahnn.arguments import Within, checked
 
 @checked
 class EpochMean(Callback):
-    """Ends each of the last epochs at the mean of the weights that its steps led to.
+    """Ends each of the last epochs at the mean of the weights after its steps.
 
-    The mean of many steps about an optimum is nearer to it than each of them (Polyak & Juditsky 1992, SIAM
+    The mean of many steps about an optimum is closer to it than each of them (Polyak & Juditsky 1992, SIAM
     J. Control Optim. 30, 838-855). The next epoch begins there, and so do validation and checkpoints.
 
     Args:
-        fraction: of the epochs, the last ones; 0 averages none.
+        fraction: fraction of the epochs, at the end; 0: no averages.
     """
 
     def __init__(self, fraction: Annotated[float, Within(0, 1)]) -> None:
@@ -31,7 +31,7 @@ class EpochMean(Callback):
     def on_train_batch_end(
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Add the weights of this step, and go to the mean after the last one."""
+        """Add the weights of this step, and set the mean after the last step."""
         del outputs, batch, batch_idx
         epochs = trainer.max_epochs or 1
         if trainer.current_epoch < (1 - self.fraction) * epochs:
@@ -50,6 +50,6 @@ class EpochMean(Callback):
         return {"steps": self.steps, "total": self.total}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Go on within an epoch."""
+        """Continue within an epoch."""
         total: Tensor = state_dict["total"]
         self.steps, self.total = state_dict["steps"], total.clone()

@@ -18,7 +18,7 @@ log = logging.getLogger(__name__)
 
 
 class TrainingProgress(ProgressBar):
-    """Progress bar for the whole fit, updated twice a second and without cost in between.
+    """Progress bar for the entire fit, updated twice a second and without cost in between.
 
     If standard error is not a terminal, each epoch is logged as a line.
     """

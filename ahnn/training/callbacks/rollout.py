@@ -24,14 +24,14 @@ TRIED = 20
 
 @checked
 class ValidationRollout(Callback):
-    """Logs `val/rollout`, the typical position error of whole validation rollouts, in the system's unit.
+    """Logs `val/rollout`, the typical position error of full validation rollouts, in the system's unit.
 
     This is the error relevant to users, and can select the best checkpoint: a decreasing one-step loss does
     not always improve rollouts. It is `typical_error` instead of an RMSE: rollouts of a poor model all end at
     a distance of the system size from the truth, and an RMSE would select weights by chance.
 
     Measurements have no true initial state for a rollout: training on them logs nothing, and selects weights
-    by `val/loss`. So does one on windows that are whole trajectories, whose loss is that of predictions.
+    by `val/loss`. The same applies to windows of full trajectories, whose loss measures predictions.
 
     Args:
         count: number of trajectories; 0 logs nothing.

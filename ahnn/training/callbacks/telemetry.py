@@ -17,7 +17,7 @@ OF_STEP = ("lr", "damping", "gradient_norm")
 """Keys of optimiser parameter groups that are recorded where available."""
 
 RECORDS = 100
-"""Minimum number of records of a training, so that short ones have curves too."""
+"""Minimum number of records of a run, so that short runs have curves too."""
 
 PATIENCE = 0.5
 """Seconds for which records are buffered: training waits whenever the logger's thread wakes up."""
@@ -37,7 +37,7 @@ class Telemetry(Callback):
         self._due = 0.0
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Increase the recording frequency for short trainings."""
+        """Increase the recording frequency for short training runs."""
         del pl_module
         total = int(trainer.num_training_batches) * int(trainer.max_epochs or 1)
         self.every = max(1, min(self.most, total // RECORDS))

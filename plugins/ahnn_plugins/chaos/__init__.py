@@ -66,7 +66,7 @@ class Chaos:
         """Return horizons and Lyapunov exponents, the median of each trajectory's, and overlaps."""
         truth = case.test.states
         if case.fitted is not None or isinstance(case.dt, Tensor) or not bool(case.test.present.all()):
-            return Findings(numbers={}, notes=["chaos: needs whole states at equal steps, without gaps"])
+            return Findings(numbers={}, notes=["chaos: needs full states at equal steps, without gaps"])
         flow = case.flow if case.truth is None else exact_flow(case.truth)
         clock = case.test.clock(getattr(case.flow, "clock", 0))
         prediction = rollout(case.flow, truth[:, 0], case.dt, truth.shape[1], clock=clock)
@@ -97,8 +97,8 @@ def findings(unit: str, rates: Tensor, found: Horizons, same: float) -> Findings
     more = f"; {lasting} of {len(rates)} are valid to the end" if lasting else ""
     note = (
         f"predictions are valid for a median of {middle:.2g} Lyapunov times, quartiles {low:.2g} and "
-        f"{high:.2g} (one is {1 / rate:.3g} {unit}){more}; in the second half their distribution "
-        f"overlaps {100 * same:.0f} % with that of the states"
+        f"{high:.2g} (one is {1 / rate:.3g} {unit}){more}; in the second half their distribution overlaps "
+        f"{100 * same:.0f} % with the distribution of the true states"
         if rate > 0
         else "no error grows exponentially: the motion is not chaotic"
     )

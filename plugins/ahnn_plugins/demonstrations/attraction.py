@@ -36,7 +36,7 @@ class Attraction:
         """Raise UserError for data other than bodies in space."""
         del truth, steps
         if space.dof != 3 or not self.bodies:
-            message = f"bodies: expected some, in three dimensions; received {self.bodies} in {space.dof}"
+            message = f"bodies: expected bodies in three dimensions; received {self.bodies} in {space.dof}"
             raise UserError(message)
 
     def __call__(self, case: Case) -> Findings:
@@ -46,7 +46,7 @@ class Attraction:
             UserError: a model without a Hamiltonian.
         """
         if case.energy is None:
-            message = f"model: expected one with a Hamiltonian; received {case.label}, {case.assumes}"
+            message = f"model: expected a Hamiltonian; received {case.label}, {case.assumes}"
             raise UserError(message)
         start, times = case.test.states[:, :1], case.test.times
         own = torch.tensor(list(self.bodies.values()), dtype=torch.float64)
@@ -100,8 +100,8 @@ class Attraction:
         axes.set_xlabel(f"distance r [{case.space.units.position}]")
         axes.set_ylabel("r² V'(r) / μ - 1  [1e-6]")
         axes.set_yscale("symlog", linthresh=10.0)
-        head = f"{case.space.name}: learned attraction beside the published μ"
-        axes.set_title(f"{head}\nbroken: what the body's own mass adds")
+        head = f"{case.space.name}: learned attraction and the published μ"
+        axes.set_title(f"{head}\ndashed: contribution of the body's own mass")
         style.legend_below(figure, axes)
         return figure
 
@@ -121,12 +121,12 @@ class Attraction:
             axes.set_ylabel(f"error [{case.space.units.position}]")
             style.label_time(axes, years)
         style.legend_below(figure, *panels)
-        figure.suptitle(f"{case.space.name}: rms position error over unseen stretches, true start")
+        figure.suptitle(f"{case.space.name}: rms position error over unseen segments, true start")
         return figure
 
 
 def distances(prediction: Tensor, case: Case) -> Tensor:
-    """Return the distance of predicted positions from those of the test, (B, T)."""
+    """Return the distances between predicted and true positions of the test set, (B, T)."""
     return (prediction - case.test.states)[..., : case.space.dof].norm(dim=-1)
 
 

@@ -21,11 +21,11 @@ from ahnn_plugins.demonstrations.two_body import kepler
 
 TWO_BODY, KNOWN = "two-body", "known part"
 ROUNDS, SETTLED = 8, 1e-6
-"""Gauss-Newton steps of a start at most, and the relative change of a sum of squares that is none."""
+"""Maximum number of Gauss-Newton steps for a start, and negligible relative change of its sum of squares."""
 USUAL = 4
-"""Steps of a start that are usual."""
+"""Usual number of these steps."""
 NUDGE = 1e-6
-"""Differences of starts, relative to distance and speed."""
+"""Finite differences of starts, relative to distance and speed."""
 
 
 class Ahead(NamedTuple):
@@ -49,18 +49,19 @@ class Ahead(NamedTuple):
 class Horizon:
     """A learned flow compared with its known physics, an oblate planet, and two-body motion.
 
-    Each predicts the test trajectories twice: from their first state, and from the start that fits noisy
-    positions of their first samples best. Where the learned flow has known forces, these alone are a row.
+    Each predicts the test trajectories twice: from their first state, and from the start that best fits noisy
+    positions of their first samples. If the learned flow contains known forces, a row shows these without the
+    learned part.
 
     Args:
-        arc: samples that starts are fitted to.
+        arc: number of samples for fitting a start.
         noise: standard deviation of their positions.
-        seed: of that noise.
-        period: over which errors are averaged, a day or a year in the unit of time of the data.
+        seed: seed of that noise.
+        period: time over which errors are averaged, a day or a year in the unit of time of the data.
         unit: its name.
         beside: the oblate planet, if there is one.
-        mu: mu of two-body motion, or a list of one per body, whose trajectories alternate. None takes that
-            of the planet.
+        mu: mu of two-body motion, or a list of one per body, whose trajectories alternate. None: mu of the
+            planet.
     """
 
     def __init__(
@@ -78,19 +79,19 @@ class Horizon:
         self.period, self.unit = period, unit
         found = mu if mu is not None or beside is None else beside.mu
         if found is None:
-            message = "mu: expected that of two-body motion, or a planet beside; received neither"
+            message = "mu: expected mu of two-body motion, or a planet in `beside`; received neither"
             raise UserError(message)
         self.mu = torch.tensor(found if isinstance(found, list) else [found], dtype=torch.float64)
 
     def check(self, truth: System | None, space: Space, steps: int) -> None:
-        """Raise UserError for data in other units, or too short ones."""
+        """Raise UserError for data in other units, or too short trajectories."""
         del truth
         if space.dof != 3 or (self.beside is not None and space.units != self.beside.units):
             expected = "three dimensions" if self.beside is None else str(self.beside.units)
             message = f"beside: expected data in {expected}; received {space.dof} in {space.units}"
             raise UserError(message)
         if not 6 <= self.arc <= steps:
-            message = f"arc: expected from 6 to {steps} samples, those of a trajectory; received {self.arc}"
+            message = f"arc: expected 6 to {steps} samples, the length of a trajectory; received {self.arc}"
             raise UserError(message)
 
     def rollouts(self, samples: int) -> float:
@@ -113,7 +114,7 @@ class Horizon:
         return kepler(x, torch.as_tensor(dt).to(x).expand(x.shape[:-1]), mu)
 
     def __call__(self, case: Case) -> Findings:
-        """Return the rows of the other flows, errors of each period, and over how many the model is best."""
+        """Return the rows of the other flows, errors per period, and in how many the model is best."""
         measured, ahead = self._measured(case), []
         for name, flow in self.flows(case).items():
             starts = {"true": case.test.states[:, 0], "fitted": fitted_start(flow, measured, case)}
@@ -140,7 +141,7 @@ class Horizon:
         return positions + self.noise * torch.randn(positions.shape, generator=draw, dtype=torch.float64)
 
     def by_period(self, states: Tensor, case: Case) -> Tensor:
-        """Return the rms error of position over all trajectories, for each whole period, (N,)."""
+        """Return the rms error of position over all trajectories, for each complete period, (N,)."""
         index = ((case.test.times[0] - case.test.times[0, 0]) / self.period).floor().long()
         error, count = off(states, case), int(index[-1]) + 1
         return torch.stack([error[:, index == k].square().mean().sqrt() for k in range(count)])
@@ -158,8 +159,8 @@ class Horizon:
             style.logarithmic(axes, 24)
             axes.set_ylabel(f"position error [{case.space.units.position}]")
         panels[0].axvspan(0, float(time[self.arc - 1]), color=style.SKY, alpha=0.2, label="fitted to")
-        head = f"{case.space.name}: rms over unseen stretches"
-        panels[0].set_title(f"{head}\nfrom the start that fits the first positions best")
+        head = f"{case.space.name}: rms over unseen segments"
+        panels[0].set_title(f"{head}\nfrom the best-fitting start")
         panels[1].set_title("from the first state of each")
         style.label_time(panels[1], style.Axis(time, self.unit))
         style.legend_below(figure, *panels)
@@ -167,7 +168,7 @@ class Horizon:
 
 
 def predicted(flow: Flow, starts: Tensor, case: Case, samples: int) -> Tensor:
-    """Return what follows, (R, K, 6), from starts (R, 6), those of all B trajectories again and again."""
+    """Return predictions (R, K, 6) from starts (R, 6), which repeat the starts of all B trajectories."""
     turns = len(starts) // len(case.test.times)
     clock = case.test.clock(clock_of(flow))
     rows = torch.arange(len(case.test.times)).repeat(turns)
@@ -178,7 +179,7 @@ def predicted(flow: Flow, starts: Tensor, case: Case, samples: int) -> Tensor:
 def fitted_start(flow: Flow, measured: Tensor, case: Case) -> Tensor:
     """Return the starts (B, 6) from which a flow best fits positions (B, K, 3), by Gauss-Newton steps.
 
-    They begin at the true start; derivatives are differences. A step that makes a fit worse is not taken.
+    Steps begin at the true start; derivatives are finite differences. A step that worsens a fit is not taken.
     """
     best = start = case.test.states[:, 0]
     sizes = [part.norm(dim=-1, keepdim=True).expand(-1, 3) for part in start.chunk(2, dim=-1)]
@@ -202,11 +203,11 @@ def fitted_start(flow: Flow, measured: Tensor, case: Case) -> Tensor:
 
 
 def off(states: Tensor, case: Case) -> Tensor:
-    """Return the distances of predicted positions from those of the test, (B, T)."""
+    """Return the distances between predicted and true positions of the test set, (B, T)."""
     return (states - case.test.states)[..., :3].norm(dim=-1)
 
 
 def periods_ahead(ahead: list[Ahead], label: str, other: str, start: str) -> int:
-    """Return in how many periods, from the first on, the flow of a label is nearer than another."""
+    """Return the number of initial periods in which the flow of a label is more accurate than another one."""
     own, theirs = (one for name in (label, other) for one in ahead if (one.name, one.start) == (name, start))
     return int((own.errors < theirs.errors).long().cumprod(0).sum())

@@ -31,7 +31,7 @@ class Planets:
         stretches: number of consecutive segments per planet.
 
     Raises:
-        UserError: a planet that DE421 does not have, or dates that it does not cover.
+        UserError: a planet missing in DE421, or dates outside DE421.
     """
 
     truth: System | None = None
@@ -72,7 +72,7 @@ class Planets:
         known = sorted({*self._ephemeris.names} - {"librations", "nutations", "sun", "moon"})
         wrong = [planet for planet in self.planets if planet not in known]
         if wrong or not self.planets:
-            message = f"planets: expected some of {', '.join(known)}; received {wrong or 'none'}"
+            message = f"planets: expected one or more of {', '.join(known)}; received {wrong or 'none'}"
             raise UserError(message)
         first, last = self._ephemeris.jalpha, self._ephemeris.jomega
         end = self.begin + self.step * self.samples * self.stretches

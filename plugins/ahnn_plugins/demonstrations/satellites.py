@@ -42,8 +42,7 @@ class Satellites:
         stretches: number of consecutive segments per satellite.
 
     Raises:
-        UserError: a satellite that the verification set does not have, or that SGP4 cannot propagate that
-            long.
+        UserError: a satellite missing in the verification set, or one that SGP4 cannot propagate that long.
     """
 
     truth: System | None = None
@@ -58,7 +57,7 @@ class Satellites:
         wrong = [number for number in satellites if number not in known]
         if wrong or not satellites:
             names = ", ".join(map(str, known))
-            message = f"satellites: expected some of {names}; received {wrong or 'none'}"
+            message = f"satellites: expected one or more of {names}; received {wrong or 'none'}"
             raise UserError(message)
         self._sets = [known[number] for number in satellites]
 

@@ -14,9 +14,9 @@ def stretches(states: np.ndarray, times: np.ndarray, samples: int) -> Trajectori
     A split by trajectory is then a split by time, without leakage of later data into training.
 
     Args:
-        states: (N, T, D) of the bodies, T a multiple of `samples`.
-        times: (T,) common to them, or (N, T).
-        samples: of a stretch.
+        states: (N, T, D) states of the bodies, T a multiple of `samples`.
+        times: (T,) common times, or (N, T).
+        samples: samples per segment.
     """
     bodies, total, size = states.shape
     cut = states.reshape(bodies, total // samples, samples, size).swapaxes(0, 1)

@@ -1,11 +1,11 @@
 """Extended Kalman filter: flow and measurements linearised at the mean, covariances as factors.
 
 The Jacobian of a step is its state transition (`ahnn.dynamics.transition`), in closed form for learned
-Hamiltonians; that of a measurement is by reverse mode (Bar-Shalom, Li & Kirubarajan 2001, section 10.3).
-Prediction and update triangularise rows and subtract nothing (Kailath, Sayed & Hassibi 2000, chapter 12).
-An iterated update relinearises the measurement at the last mean: Gauss-Newton steps to the most probable
-state (Bell & Cathey 1993). Innovation and likelihood refer to the prediction and are unchanged by iterations.
-Gate, status, streams, process noise, figures and rows are common to all filters, see
+Hamiltonians; the Jacobian of a measurement is taken by reverse mode (Bar-Shalom, Li & Kirubarajan 2001,
+section 10.3). Prediction and update triangularise rows and subtract nothing (Kailath, Sayed & Hassibi 2000,
+chapter 12). An iterated update relinearises the measurement at the last mean: Gauss-Newton steps to the most
+probable state (Bell & Cathey 1993). Innovation and likelihood refer to the prediction and are unchanged by
+iterations. Gate, status, streams, process noise, figures and rows are common to all filters, see
 `ahnn.estimation.estimator`.
 """
 

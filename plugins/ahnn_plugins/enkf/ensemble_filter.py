@@ -48,7 +48,7 @@ class Joint(NamedTuple):
     """Joint distribution of measurement and state.
 
     Attributes:
-        chol: (B, M + D, M + D) lower factor of their covariance, measurement noise included.
+        chol: (B, M + D, M + D) lower factor of their covariance, with measurement noise.
         deviations: (B, N, M) deviations of the measured members from their mean.
         innovation: (B, M) innovation.
         noise: (B, 2 M, M) rows of the measurement noise, see `present_noise`.
@@ -68,7 +68,7 @@ class EnsembleKalmanFilter(SampleFilter):
     Attributes:
         ensemble: ensemble size N; greater than D without localisation.
         form: `square_root` or `stochastic`.
-        inflation: factor on the deviations before each update (Anderson & Anderson 1999); 1 for none.
+        inflation: factor on the deviations before each update (Anderson & Anderson 1999); 1: no inflation.
         localisation: taper of the covariances, or its attributes, or None.
         seed: seed of the random numbers.
         gate: gate for improbable measurement rows, or None.
@@ -133,8 +133,8 @@ class EnsembleKalmanFilter(SampleFilter):
         size = belief.mean.shape[-1]
         if self.ensemble <= size and self.localisation is None:
             message = (
-                f"ensemble: expected more members than the {size} components of what is estimated, or a "
-                f"localisation; received {self.ensemble}"
+                f"ensemble: expected more members than the {size} estimated components, or a localisation; "
+                f"received {self.ensemble}"
             )
             raise UserError(message)
         draw = centred(random.normal(belief.mean, len(belief.mean), self.ensemble, size))
@@ -178,7 +178,7 @@ class EnsembleKalmanFilter(SampleFilter):
         told, width = conditioned(prior, joint.chol, joint.innovation, y), y.shape[-1]
         chol_y, cross = joint.chol[:, :width, :width], joint.chol[:, width:, :width]
         if self.form == "stochastic":
-            # Noise rows without those of missing components.
+            # Rows of noise, except for missing components.
             draw = centred(state.random.normal(y, *joint.deviations.shape))
             off = joint.innovation.unsqueeze(1) - joint.deviations + draw @ joint.noise[:, :width]
             moved = points + _solved(off, chol_y) @ cross.mT

@@ -47,7 +47,7 @@ class Localisation:
         if size % self.coordinates:
             message = (
                 f"localisation: expected states of a multiple of {self.coordinates} components, the "
-                f"coordinates of the chain; received {size}, of which some have no place on it"
+                f"coordinates of the chain; received {size}, some of them not on the chain"
             )
             raise UserError(message)
         place = torch.arange(size) % self.coordinates
@@ -58,7 +58,7 @@ class Localisation:
 
 
 def gaspari_cohn(z: Tensor) -> Tensor:
-    """Return the correlation at distances z >= 0 in half radii: 1 at 0, 0 from 2 on, twice differentiable.
+    """Return the correlation at distances z >= 0 in half radii: 1 at 0, 0 beyond 2, twice differentiable.
 
     Gaspari & Cohn 1999, eq. 4.10: piecewise of fifth degree, positive definite in up to three dimensions.
     """

@@ -1,11 +1,11 @@
 """Interacting multiple models (Blom & Bar-Shalom 1988; Bar-Shalom, Li & Kirubarajan 2001, section 11.6.6).
 
 The motion switches between modes by a Markov chain. Each mode has a belief and a probability. Before a step
-the beliefs are mixed: that of mode j becomes the moments of all beliefs, weighted by the probabilities of
-transition to mode j. Each is then predicted and updated by a Gaussian filter with the process noise, and
+the beliefs are mixed: the belief of mode j becomes the moments of all beliefs, weighted by the probabilities
+of transition to mode j. Each is then predicted and updated by a Gaussian filter with the process noise, and
 optionally the flow, of its mode; modes are weighted by the likelihood of the measurement. The published
 belief consists of the moments of the mixture, which also define innovation, NIS and gate; the log-likelihood
-is that of the mixture.
+refers to the mixture.
 """
 
 from __future__ import annotations
@@ -60,9 +60,7 @@ class InteractingModels(MemberFilter[MixtureState]):
         """Check that values are within their limits."""
         super().__post_init__()
         if not isinstance(self.filter, GaussianFilter):
-            message = (
-                f"filter: expected a Gaussian filter, such as that of ukf or ekf; received {self.filter!r}"
-            )
+            message = f"filter: expected a Gaussian filter, such as ukf or ekf; received {self.filter!r}"
             raise UserError(message)
         if len(self.modes) < 2:
             message = f"modes: expected at least two; received {len(self.modes)}"
@@ -72,7 +70,7 @@ class InteractingModels(MemberFilter[MixtureState]):
         times = (given,) * len(self.modes) if isinstance(given, int | float) else tuple(given)
         numbers = all(isinstance(time, int | float) and 0.0 < time < torch.inf for time in times)
         if len(times) != len(self.modes) or not numbers:
-            message = f"dwell: expected a time > 0, or {len(self.modes)} of them; received {given!r}"
+            message = f"dwell: expected a time > 0, or {len(self.modes)} times; received {given!r}"
             raise UserError(message)
         object.__setattr__(self, "dwell", times)
 

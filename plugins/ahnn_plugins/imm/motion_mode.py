@@ -28,7 +28,7 @@ class MotionMode:
     Attributes:
         factor: factor on the standard deviations of the filter's process noise.
         added: standard deviations of additional white noise per state component, per square root of the unit
-            of time. Further components have none. None for no additional noise.
+            of time. Further components receive none. None: no additional noise.
         beside: system whose exact flow replaces the model.
     """
 
@@ -45,7 +45,7 @@ class MotionMode:
 
     @cached_property
     def own_flow(self) -> Callable[[Flow], Flow]:
-        """Function from the model's flow to that of the mode."""
+        """Function from the flow of the model to the flow of the mode."""
         if self.beside is None:
             return lambda flow: flow
         exact = exact_flow(self.beside)
@@ -58,13 +58,13 @@ class MotionMode:
             raise UserError(message)
         if self.beside is not None and (own := 2 * self.beside.dof) != size:
             message = (
-                f"{who}.beside: expected a system of {size} components, as many as are estimated; "
+                f"{who}.beside: expected a system of {size} components, the number estimated; "
                 f"{self.beside.name} has {own}. It has no force error, parameters or biases"
             )
             raise UserError(message)
 
     def noise(self, chol_q: Tensor, dt: float) -> Tensor:
-        """Return the factor (B, D, D) of the process noise of a step, from that of the filter."""
+        """Return the factor (B, D, D) of the process noise of a step, from the factor of the filter."""
         chol = self.factor * chol_q
         if self.added is None:
             return chol

@@ -52,12 +52,12 @@ STAGES = 50
 class ParticleFilter(SampleFilter):
     """Bootstrap particle filter with additive Gaussian noise for a batch of B members, see `SampleFilter`.
 
-    A particle with a non-finite state or measurement has zero weight from then on.
+    A particle with a non-finite state or measurement has zero weight thereafter.
 
     Attributes:
         particles: number of particles N.
         resample_below: fraction of N for the effective sample size below which particles are resampled.
-        bandwidth: h of the kernel, less than 1; 0 for none; None for (4 / ((D + 2) N))^(1 / (D + 4)), optimal
+        bandwidth: h of the kernel, less than 1; 0: no kernel; None: (4 / ((D + 2) N))^(1 / (D + 4)), optimal
             for Gaussian beliefs (Silverman 1986, section 4.3), and at least 0.6 between two stages. Narrow
             modes require less.
         stages: maximum number of stages per measurement; 1 for the bootstrap filter.

@@ -20,8 +20,8 @@ STAGE_SIZE, STAGE_BANDWIDTH = 0.8, 0.6
 
 Particles must reach previously unoccupied regions. For 1,000 particles of N(0, 1) and a measurement 10
 standard
-deviations away with unit noise, the mean ends 0.6 standard deviations off; with 0.5 and Silverman's
-bandwidth, 3.9.
+deviations away with unit noise, the final error of the mean is 0.6 standard deviations; with 0.5 and
+Silverman's bandwidth, 3.9.
 """
 LOG_TWO_PI = math.log(2.0 * math.pi)
 

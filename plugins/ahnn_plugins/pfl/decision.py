@@ -12,7 +12,7 @@ from ahnn_plugins.pfl.predictor import FITS, FitName, Forecast
 
 
 class Settings(NamedTuple):
-    """Settings of the rule; the defaults are the paper's.
+    """Settings of the rule; the defaults are from the paper.
 
     Attributes:
         fit: name of the fit, a key of `FITS`.

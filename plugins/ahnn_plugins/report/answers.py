@@ -41,7 +41,7 @@ def tally(found: list[Verdict]) -> Markup:
 
 
 def badge(answer: Answer) -> Markup:
-    """Return a verdict as a word with a sign, so that it does not depend on colour alone."""
+    """Return a verdict as a word with a sign, so that it does not depend only on colour."""
     sign = tag("span", SIGNS[answer], aria_hidden="true")
     return tag("span", sign, " ", answer, class_=f"badge {answer.replace(' ', '-')}")
 
@@ -55,7 +55,7 @@ def claims_table(system: str, found: list[Verdict], confidence: float) -> Grid:
     return Grid(
         f"claims_{system}",
         f"{system}: claims of the paper.",
-        f"The first ratio that a claim demands, ours with its {confidence:.0%} interval, and the paper's.",
+        f"The first ratio of each claim: ours, with its {confidence:.0%} interval, and the paper's.",
         ((Head("Claim"), Head("Verdict"), Head("Ours"), Head("Paper")),),
         tuple(lines),
     )

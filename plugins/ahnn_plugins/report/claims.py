@@ -46,7 +46,7 @@ def alike(one: str, other: str, quantities: Iterable[str] = STATE) -> tuple[Dema
 
 
 def best(model: str, starts: Iterable[Start], *, filtered: bool) -> tuple[Demand, ...]:
-    """Build the demands that a model is better than each of the others."""
+    """Build the demands that a model is better than each other model."""
     starts = tuple(starts)
     others = (other for other in MODELS if other != model)
     return tuple(d for other in others for d in below(model, other, STATE, starts, filtered=filtered))

@@ -77,7 +77,7 @@ class Collection(NamedTuple):
     unfinished: tuple[Path, ...] = ()
 
     def systems(self) -> list[str]:
-        """Return the names of the systems, without duplicates, those of the paper first."""
+        """Return the names of the systems, without duplicates, the paper's systems first."""
         names = dict.fromkeys(entry.system for entry in self.entries)
         return sorted(names, key=lambda name: PAPER.index(name) if name in PAPER else len(PAPER))
 
@@ -86,7 +86,7 @@ class Collection(NamedTuple):
         return list(dict.fromkeys(entry.model for entry in self.of(system)))
 
     def of(self, system: str, model: str | None = None) -> list[Entry]:
-        """Return the runs of a system, or those of one model of it."""
+        """Return the runs of a system, or of one of its models."""
         return [e for e in self.entries if e.system == system and model in (None, e.model)]
 
 

@@ -20,14 +20,14 @@ COLUMNS = [
     Measure("", quantity, start, with_filter)
     for with_filter, start, quantity in product((False, True), STARTS[:2], QUANTITIES[:2])
 ]
-"""Columns of the ablation; the model is that of each row."""
+"""Columns of the ablation; each row states its model."""
 
 
 class Order(NamedTuple):
     """Models by their error, the lowest first.
 
     Attributes:
-        models: in the order of the geometric means over seeds.
+        models: models in the order of the geometric means over seeds.
         decided: whether each is significantly below the next one.
     """
 
@@ -87,11 +87,9 @@ def order_table(board: Board, confidence: float) -> Grid | None:
         (Head("Error"), Head(""), Head(""), Head("as paper"), Head("reverse"), Head("open")),
     )
     caption = (
-        "Lowest error first, by the geometric mean over seeds. A < B: decided, the "
-        f"{confidence:.0%} interval of "
-        "the ratio lies below one (Welch's test on the logarithms of the scores, each pair by "
-        "itself); A ~ B: the "
-        "seeds do not decide."
+        f"Lowest error first, by the geometric mean over seeds. A < B: decided, the {confidence:.0%} "
+        "interval of the ratio lies below one (Welch's test on the logarithms of the scores, each pair by "
+        "itself); A ~ B: the seeds do not decide."
     )
     return Grid(f"order_{board.system}", "Order of the models.", caption, heads, tuple(lines))
 

@@ -44,7 +44,7 @@ class Panel(NamedTuple):
         log: whether the vertical axis is logarithmic.
         equal: whether both axes have equal scale.
         ticks: labels of positions 0, 1, ... on a categorical horizontal axis.
-        radius: radius of the planet at the origin of an orbit, in the unit of the axes; 0 for none.
+        radius: radius of the planet at the origin of an orbit, in the unit of the axes; 0: no planet.
         limits: limits of the vertical axis; None for all data.
     """
 
@@ -68,7 +68,7 @@ class Drawing(NamedTuple):
         caption: content and runs, with the corresponding figure of the paper.
         panels: panels from top to bottom.
         kind: `lines`; `orbit`, one panel in three dimensions; or `bars`, dots with their spread.
-        spread: what bands or bars show, below the title; "" without them.
+        spread: meaning of bands or bars, below the title; "" without them.
     """
 
     name: str

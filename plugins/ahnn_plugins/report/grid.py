@@ -19,7 +19,7 @@ class Cell(NamedTuple):
     Attributes:
         text: text of the cell.
         tone: `best` of its column, `quiet` for values from elsewhere, `words` for text instead of a number.
-        note: footnote number from 1; 0 for none.
+        note: footnote number from 1; 0: no footnote.
     """
 
     text: str

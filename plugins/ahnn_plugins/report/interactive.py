@@ -89,7 +89,7 @@ def _stack(drawing: Drawing) -> Any:
 
 
 def _heading(panel: Panel, top: float) -> dict[str, Any]:
-    """Return the label of a vertical axis, placed above it, since narrow screens lack room beside it."""
+    """Return the label of a vertical axis, placed above it, since narrow screens lack room to its left."""
     place = {"xref": "paper", "yref": "paper", "x": 0, "y": top, "xanchor": "left", "yanchor": "bottom"}
     return {"text": html.escape(panel.y), "showarrow": False, "yshift": 2, **place}
 
@@ -149,7 +149,7 @@ def _decades(panel: Panel) -> dict[str, Any]:
     low, high = float(values.min()), float(values.max())
     if high >= SHORT * low:
         return {"dtick": 1}
-    # plotly would label these with a digit without the power.
+    # plotly would label these by a digit without its power of ten.
     decades = range(math.floor(math.log10(low)) - 2, math.ceil(math.log10(high)) + 3)
     ticks = [float(f"{digit}e{decade}") for decade in decades for digit in (1, 2, 5)]
     return {"tickvals": ticks, "ticktext": [f"{tick:g}" for tick in ticks]}

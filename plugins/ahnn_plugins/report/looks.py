@@ -1,6 +1,6 @@
 """Appearance of series in all renderers: colour, dash, width and symbol, by role and slot.
 
-Colours are those of Okabe & Ito; the first 30 models of a report have distinct combinations of colour and
+Colours are from Okabe & Ito; the first 30 models of a report have distinct combinations of colour and
 dash, so that curves are distinguishable without colour.
 """
 

@@ -97,8 +97,7 @@ def _claims(found: list[Verdict], confidence: float) -> tuple[Markup, tuple[Sect
         for s in systems
     )
     text = (
-        "Each claim is a set of demands on ratios of scores, and is judged by the runs alone. "
-        "Open one for its "
+        "Each claim is a set of demands on ratios of scores, judged only by the runs. Open one for its "
         "numbers, and for whether the paper's own tables meet it."
     )
     return tag("p", text), parts
@@ -123,27 +122,19 @@ def _system(
 
 def _method(confidence: float) -> Markup:
     texts = (
-        "RMSE of positions, and of velocities or momenta: for each unseen trajectory the root "
-        "mean square over "
-        "time of the length of "
-        "the error vector, then the mean over trajectories. The paper does not say which it "
-        "uses; this one fits its "
-        "numbers best.",
-        "Floor: what exact knowledge of the equations scores from the same start with the same "
-        "measurements. From a "
+        "RMSE of positions, and of velocities or momenta: for each unseen trajectory the root mean square "
+        "over time of the length of the error vector, then the mean over trajectories. The paper does not "
+        "say which it uses; this one fits its numbers best.",
+        "Floor: score of the exact equations from the same start with the same measurements. From a "
         "perturbed start without measurements the score reflects the perturbation, and hardly the model.",
         "Spread: standard deviation over runs of one model, which differ in their seeds. It includes the "
         "effect of initial weights and of the order of the data, but not of the choice of test "
         "trajectories, which all runs share.",
-        f"Ratios: of geometric means, with the {confidence:.0%} interval of Welch's test on "
-        "logarithms; three seeds "
-        "make it wide. A claim holds if the whole interval of each of its ratios lies where the claim "
-        "requires it; it "
-        "does not hold if one interval, widened for the number of ratios (Bonferroni), lies "
-        "outside; all else is "
-        "undecided.",
-        "An order of magnitude is a factor of at least √10, two orders one of at least 10 √10, "
-        "comparable within a "
+        f"Ratios: of geometric means, with the {confidence:.0%} interval of Welch's test on logarithms; "
+        "three seeds make it wide. A claim holds if the entire interval of each of its ratios lies where "
+        "the claim requires it; it does not hold if one interval, widened for the number of ratios "
+        "(Bonferroni), lies outside; all else is undecided.",
+        "An order of magnitude: a factor of at least √10; two orders: at least 10 √10; comparable: within a "
         "factor of two.",
     )
     return tag("ul", [tag("li", text) for text in texts])

@@ -36,9 +36,8 @@ def score_table(board: Board) -> Grid:
         (Head("Prediction"), Head("runs"), *((Head("model"), Head("floor")) * 3)),
     )
     caption = (
-        "States: mean over trajectories of the rms vector norm; mean ± standard "
-        "deviation over "
-        "runs. Floor: what perfect knowledge scores there. Settled: from the first update on."
+        "States: mean over trajectories of the rms vector norm; mean ± standard deviation over runs. Floor: "
+        "score of the exact equations. Settled: after the first update."
     )
     return Grid(f"scores_{board.system}", "All scores.", caption, heads, tuple(lines))
 
@@ -105,7 +104,7 @@ def cost_table(board: Board) -> Grid:
         count = [Cell(str(len(entries)))]
         lines.append(Line(model, (*count, *(_numbers(entries, key) for key in COSTS), _threads(entries))))
     heads = ((Head("Model"), Head("runs"), *map(Head, COSTS.values()), Head("threads")),)
-    caption = "Mean ± standard deviation over runs; seconds are those of the machine that trained."
+    caption = "Mean ± standard deviation over runs; seconds on the machine that trained."
     return Grid(f"cost_{board.system}", "Cost.", caption, heads, tuple(lines))
 
 

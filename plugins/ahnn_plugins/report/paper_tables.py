@@ -64,10 +64,9 @@ def rmse_table(board: Board) -> Grid:
         (Head(""), *(SUB * len(columns))),
     )
     caption = (
-        "Mean over trajectories of the rms vector norm; ours: mean ± standard deviation over "
-        "seeds, the lowest "
-        "mean of each part bold; paper: as printed, suspicious cells marked; floor: what perfect knowledge "
-        "scores there."
+        "Mean over trajectories of the rms vector norm; ours: mean ± standard deviation over seeds, the "
+        "lowest mean of each part bold; paper: as printed, suspicious cells marked; floor: score of the "
+        "exact equations."
     )
     title = f"Table {layout.number} of the paper. {layout.title}."
     return Grid(f"table{layout.number}_{board.system}", title, caption, heads, tuple(lines), tuple(doubts))
@@ -117,7 +116,7 @@ def _best(board: Board, start: Start, quantity: str, with_filter: bool) -> str |
 
 
 def _cells(board: Board, measure: Measure, scale: float, doubts: list[str], *, is_best: bool) -> list[Cell]:
-    """Return the cells of our value, the paper's and the floor."""
+    """Return the cells of our value, the paper's value and the floor."""
     own, floor, said = board.sample(measure), board.floor(measure), board.printed(measure)
     return [
         Cell(mean_and_spread(own, scale), "best" if is_best else ""),

@@ -79,7 +79,7 @@ def _figure(picture: Picture) -> Markup:
 
 
 def of_system(found: list[Picture], systems: list[str]) -> dict[str, list[Picture]]:
-    """Group figures by the longest system name that prefixes theirs; "" for none."""
+    """Group figures by the longest system name that is a prefix of their name; "" if there is none."""
     placed: dict[str, list[Picture]] = {}
     for picture in found:
         fits = [s for s in systems if picture.drawing.name.startswith(s)]

@@ -1,4 +1,4 @@
-"""Numbers of plugins: means with 95 % bands are tested, others are listed."""
+"""Numbers of plugins: means with 95 % bands are tested, all other numbers are listed."""
 
 from __future__ import annotations
 
@@ -49,9 +49,8 @@ def consistency_table(system: str, numbers: dict[str, Any]) -> Grid | None:
     if not lines:
         return None
     caption = (
-        "Normalised squared errors (NEES) and innovations (NIS): mean over trajectories and "
-        "times, beside the 95 % "
-        "band of a consistent filter. Above the band the filter is overconfident."
+        "Normalised squared errors (NEES) and innovations (NIS): mean over trajectories and times, with the "
+        "95 % band of a consistent filter. Above the band the filter is overconfident."
     )
     heads = ((Head("Where"), Head("mean"), Head("95 % band"), Head("verdict")),)
     return Grid(f"consistency_{system}", "Consistency.", caption, heads, tuple(lines))

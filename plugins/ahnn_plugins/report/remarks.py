@@ -41,7 +41,7 @@ def unfinished(folders: tuple[Path, ...]) -> list[str]:
 def _missing(board: Board) -> Iterator[str]:
     if not is_of_paper(board):
         if board.system in LAYOUTS and any(model in MODELS for model in board.groups):
-            yield "The units are not those of the paper: its numbers are left out."
+            yield "The units differ from the paper: its numbers are omitted."
         return
     missing = [model for model in MODELS if model not in board.groups]
     if missing and len(board.entries) > 1:
@@ -54,7 +54,7 @@ def _seeds(board: Board) -> Iterator[str]:
         listed = ", ".join(f"{model} {count}" for model, count in counts.items())
         yield f"The models have unequal numbers of runs: {listed}."
     if single := [model for model, count in counts.items() if count == 1 and len(board.entries) > 1]:
-        yield f"One run alone of {', '.join(single)}: no spread, so nothing can be decided about it."
+        yield f"Only one run of {', '.join(single)}: no spread, so nothing can be decided about it."
     for model, entries in board.groups.items():
         twice = [seed for seed, n in Counter(e.seed for e in entries).items() if n > 1 and seed is not None]
         if twice:
@@ -65,7 +65,7 @@ def _filters(board: Board) -> Iterator[str]:
     entries = board.entries
     kept = sum((entry.folder / PREDICTIONS).is_file() for entry in entries)
     if kept < len(entries):
-        yield f"{len(entries) - kept} of {len(entries)} runs kept no predictions: figures leave them out."
+        yield f"{len(entries) - kept} of {len(entries)} runs kept no predictions: figures omit them."
     rows = [any(r.who.estimator and r.who.process == MODEL for r in e.results.rows) for e in entries]
     if not any(rows):
         yield "No run was evaluated with a filter (plugins=ukf)."

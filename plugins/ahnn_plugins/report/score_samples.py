@@ -57,11 +57,11 @@ class Ratio(NamedTuple):
     high: float = math.inf
 
     def within(self, low: float, high: float) -> bool:
-        """Return whether the whole interval lies in [low, high]."""
+        """Return whether the entire interval lies in [low, high]."""
         return low <= self.low and self.high <= high
 
     def beyond(self, low: float, high: float) -> bool:
-        """Return whether the whole interval lies outside [low, high]."""
+        """Return whether the entire interval lies outside [low, high]."""
         return self.high < low or high < self.low
 
 
@@ -101,7 +101,7 @@ def _power(logarithm: float) -> float:
 
 def _quantile(confidence: float, freedom: float) -> float:
     """Return the quantile of Student's t of a two-sided interval."""
-    from scipy.special import stdtrit  # import takes a tenth of a second and is needed for comparisons only
+    from scipy.special import stdtrit  # import takes a tenth of a second and is needed only for comparisons
 
     return float(stdtrit(freedom, 0.5 + confidence / 2))
 

@@ -35,11 +35,11 @@ class Measure(NamedTuple):
 
 
 class Board(NamedTuple):
-    """Runs of a system by model; those of the paper's recipe have its names, in capitals.
+    """Runs of a system by model; runs of the paper's recipe have the paper's names, in capitals.
 
     Attributes:
         system: system name.
-        groups: runs of each model, in the paper's order, followed by others.
+        groups: runs of each model, in the paper's order, followed by all other models.
         estimator: estimator of filtered rows, or None.
     """
 
@@ -118,7 +118,7 @@ def measured(values: Iterable[float | None]) -> Sample:
 
 
 def floor_of(entry: Entry, start: str, filtered: bool, estimator: str | None) -> Row | None:
-    """Return the floor from a start; for a filter without its own floor, that of its untuned form."""
+    """Return the floor from a start; for a filter without its own floor, the floor of its untuned form."""
     wanted = [estimator, (estimator or "").split("_")[0]] if filtered else [None]
     for name in wanted:
         for row in entry.results.rows:

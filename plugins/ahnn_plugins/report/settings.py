@@ -28,7 +28,7 @@ def values_of(folder: Path) -> dict[str, Any]:
 
 
 def noise_of(content: dict[str, Any]) -> str:
-    """Return the configured noise of the training data; `exact` for none."""
+    """Return the configured noise of the training data; `exact` if there is none."""
     data = content.get("data")
     noise = data.get("noise") if isinstance(data, dict) else None
     return "exact" if noise is None else str(noise)[:60]

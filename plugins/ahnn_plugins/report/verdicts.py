@@ -126,7 +126,7 @@ def _reason(evidence: list[Evidence]) -> str:
         names = sorted({f"{m.model} with the filter" if m.filtered else m.model for m in missing})
         return f"no scores of {', '.join(names)}"
     if any(min(each.runs) < 2 for each in evidence):
-        return "one run of a model has no spread to judge by; more seeds decide"
+        return "a single run of a model has no spread; more seeds are needed"
     lost = any(each.ratio is not None and each.ratio.value != each.ratio.value for each in evidence)
     return "predictions of some runs are lost" if lost else "the seeds differ too much"
 

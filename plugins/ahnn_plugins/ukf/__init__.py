@@ -1,9 +1,9 @@
 """Unscented Kalman filter: batched over trajectories, in square-root form, consistent in its uncertainty.
 
 A pure kernel over NamedTuples in float64: any function `flow(x, dt)` is the process model, NaN marks missing
-components, a failed member gets a status and never affects others, and every repair is counted. It processes
-one prediction or measurement at a time (`UnscentedKalmanFilter`), or runs over a batch of them
-(`unscented_filter`) with a smoother. The kernel is independent of training runs and can be used alone.
+components, a failed member gets a status and never affects other members, and every repair is counted. It
+processes one prediction or measurement at a time (`UnscentedKalmanFilter`), or runs over a batch of them
+(`unscented_filter`) with a smoother. The kernel is independent of training runs and can be used separately.
 """
 
 from __future__ import annotations

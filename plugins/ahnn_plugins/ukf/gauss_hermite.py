@@ -3,7 +3,7 @@
 A rule of p nodes integrates polynomials up to degree 2 p - 1 in each component exactly (Ito & Xiong 2000;
 Arasaratnam, Haykin & Elliott 2007), while unscented points are exact up to degree three. It requires p^D
 points, all of positive weight, so that factors are triangularised without subtraction. With three nodes and
-one component the points are those of the unscented filter with kappa = 2.
+one component the points agree with the unscented filter with kappa = 2.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class HermiteRule(NamedTuple):
     """Product of Gauss-Hermite rules for N(0, I), and predictions and updates by it.
 
     Attributes:
-        nodes: (S, D) nodes, that of the largest weight first.
+        nodes: (S, D) nodes, the node of the largest weight first.
         weights: (S, 1) positive weights with sum 1.
     """
 

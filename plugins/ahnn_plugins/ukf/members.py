@@ -85,8 +85,8 @@ class StepNoise(NamedTuple):
 
     Attributes:
         process: address of the factor of the process noise, and the step between members.
-        measured: the same for the measurement noise, the largest accepted NIS, and the address of the
-            half-periods.
+        measured: address and step of the factor of the measurement noise, the largest accepted NIS, and the
+            address of the half-periods.
         tensors: tensors that own the memory.
     """
 

@@ -40,8 +40,8 @@ class SigmaWeights(NamedTuple):
         covariance_centre: W_c0.
         recentring: fraction of the shift subtracted from the deviations.
         downdate: factor of the remaining subtraction; None if zero for all members.
-        crowding: D / radius², by which the mean amplifies rounding, for members with closely spaced points, 0
-            for others; None if negligible for all.
+        crowding: D / radius², the factor by which the mean amplifies rounding errors, for members with
+            closely spaced points and 0 for all other members; None if negligible for every member.
     """
 
     radius: Tensor

@@ -32,8 +32,9 @@ class UKFEvaluation(EstimatorEvaluation):
         cadence: this and arguments not listed here: see `EstimatorEvaluation`.
         alpha, beta, kappa: parameters of the sigma points.
         form: form of the covariance.
-        smoother: whether to add the rows of the smoother; `iterated` also adds those of the iterated one.
-        tuning: options of `Tuning`, to add the rows of a tuned filter; None for no tuning.
+        smoother: whether to add the rows of the smoother; `iterated` also adds the rows of the iterated
+            smoother.
+        tuning: options of `Tuning`, to add the rows of a tuned filter; None: no tuning.
         name: name in tables and of the configuration node.
     """
 

@@ -65,7 +65,7 @@ def regression(belief: Belief, centre: Tensor, outer: Tensor, weights: SigmaWeig
     Args:
         belief: belief of dimension D.
         centre: (B, N) image of the mean.
-        outer: (B, 2 D, N) images of the other sigma points minus that of the mean.
+        outer: (B, 2 D, N) images of the other sigma points minus the image of the mean.
         weights: non-negative sigma point weights.
     """
     shift = weights.outer * outer.sum(1, keepdim=True)

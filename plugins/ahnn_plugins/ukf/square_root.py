@@ -42,8 +42,8 @@ def update(
 ) -> Updated:
     """Return the posterior given the components of y that are not NaN.
 
-    A missing component has deviation zero and variance one, hence no correlation: the result equals that of
-    the measurement without it, and the batch stays rectangular.
+    A missing component has deviation zero and variance one, hence no correlation: the result is the same as
+    without the component, and the batch stays rectangular.
 
     Args:
         prior: belief from which the points were drawn.

@@ -56,10 +56,10 @@ class Tuning:
     """Extent of the search.
 
     Attributes:
-        ranges: [low, high] of each searched constant; others are fixed.
+        ranges: [low, high] of each tuned constant; all other constants are fixed.
         trials: number of filters tried.
         trajectories: number of validation trajectories, with one arc each.
-        steps: number of steps per arc; None for whole trajectories.
+        steps: number of steps per arc; None: full trajectories.
         batch: number of trials filtered together.
         seed: seed of the sampler.
     """
@@ -86,7 +86,7 @@ class Tuning:
 
 
 class Tuned(NamedTuple):
-    """Result of a search: the best values, their objective, and that of the initial values."""
+    """Result of a search: the best values, their objective, and the objective of the initial values."""
 
     values: dict[str, float]
     objective: float
@@ -148,8 +148,8 @@ def _begin(chosen: Filter, options: Tuning) -> dict[str, float]:
     for name, (low, high) in options.ranges.items():
         if not low <= own[name] <= high:
             message = (
-                f"tuning.ranges.{name}: expected a range with the untuned {own[name]:g} in it, "
-                f"where the search begins; received {[low, high]}"
+                f"tuning.ranges.{name}: expected a range that contains the untuned {own[name]:g}, at which "
+                f"the search starts; received {[low, high]}"
             )
             raise UserError(message)
     return {name: own[name] for name in options.ranges}
@@ -160,8 +160,8 @@ def objectives(
 ) -> list[float]:
     """Return the objectives of trials, filtered in one batch.
 
-    The objective is the RMSE of the position plus that of the velocity, each component in units of its
-    initial standard deviation, from the first update on, since earlier errors do not depend on the filter.
+    The objective is the RMSE of the position plus the RMSE of the velocity, each component in units of its
+    initial standard deviation, after the first update, since earlier errors do not depend on the filter.
     """
     count, (batch, _, size) = len(trials), problem.truth.shape
     trials = [own_values(chosen) | trial for trial in trials]

@@ -134,7 +134,7 @@ def unscented_filter(
         gradients: whether to keep the graph.
 
     Raises:
-        ValueError: as `GaussianFilter.run`, and for parameters without sigma points.
+        ValueError: the errors of `GaussianFilter.run`, or parameters without sigma points.
     """
     estimator = UnscentedKalmanFilter(parameters or DEFAULTS, form, gate)
     rows = measurements, measurement, process_noise, measurement_noise, dt

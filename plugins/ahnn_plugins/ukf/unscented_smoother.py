@@ -16,7 +16,7 @@ unscented_smoother = smoother
 def backward_kernel(
     propagated: Tensor, chol: Tensor, weights: SigmaWeights, chol_q: Tensor
 ) -> tuple[Backward, Tensor | None]:
-    """Return the conditional distribution of the state before a step given that after it, see `backward_law`.
+    """Return the distribution of the state before a step given the state after it, see `backward_law`.
 
     Args:
         propagated: (B, S, D) sigma points after the flow.

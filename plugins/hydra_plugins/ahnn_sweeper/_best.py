@@ -39,7 +39,7 @@ def write_best(study: optuna.Study, sweep_dir: Path, config_loader: ConfigLoader
     write_atomically(path, f"# @package _global_\n{head}{text}".encode())
     link = sweep_dir / _NAME
     if not link.is_symlink():
-        with contextlib.suppress(OSError):  # Windows allows links to administrators alone
+        with contextlib.suppress(OSError):  # on Windows, only administrators may create links
             link.symlink_to(path.relative_to(sweep_dir))
     return path
 

@@ -1,6 +1,6 @@
 """Commands as forks of a process with common imports, equivalent to a fresh start.
 
-The server is that of `multiprocessing`; it forks while single-threaded (Windows has none: there each job
+The server belongs to `multiprocessing`; it forks while single-threaded (Windows has none: there each job
 starts afresh). It ignores signals that a scheduler
 sends to all processes, so that it lives until its jobs have ended and their exit codes are known.
 """
@@ -70,9 +70,9 @@ def _run(program: str, arguments: list[str], log: str) -> None:
             runpy.run_path(program, run_name="__main__")
         else:
             runpy.run_module(program, run_name="__main__", alter_sys=True)
-    except Exception as error:  # printed as by Python; `multiprocessing` would name its own process
+    except Exception as error:  # printed as Python prints it; `multiprocessing` would name its own process
         sys.stdout.flush()
         sys.excepthook(type(error), error, error.__traceback__)
         sys.exit(1)
     finally:
-        atexit._run_exitfuncs()  # `multiprocessing` does so from Python 3.14 on
+        atexit._run_exitfuncs()  # `multiprocessing` does so since Python 3.14

@@ -1,4 +1,4 @@
-"""Signals ignored by the server of `_forked` from its import on; its jobs restore the handlers."""
+"""Signals ignored by the server of `_forked` after its import; its jobs restore the handlers."""
 
 import signal
 

@@ -1,7 +1,7 @@
 """Bookkeeping of trials: allotment, counting, and retry of orphans.
 
 An orphan is a RUNNING trial whose process is gone. It becomes FAIL and its parameters are enqueued again,
-marked `retry_of`; from then on the retry replaces it. A trial is retried until its job has started twice.
+marked `retry_of`; the retry replaces it. A trial is retried until its job has started twice.
 Every step may be interrupted by a kill and is completed, never repeated, by the next worker that holds the
 lock.
 """

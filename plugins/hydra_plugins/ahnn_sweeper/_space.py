@@ -2,7 +2,7 @@
 
 Supported sweeps of a key:
 
-    choice(128, 256, 512)            categorical; 128,256,512 means the same
+    choice(128, 256, 512)            categorical; 128,256,512 is equivalent
     range(3, 11)                     3, 4, ..., 10: the end is excluded, as everywhere in Hydra
     interval(0.1, 1.0)               any real number
     int(interval(1, 5))              1, 2, ..., 5: the end is included

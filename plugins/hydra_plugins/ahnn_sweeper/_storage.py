@@ -4,7 +4,8 @@ The lock makes the creation of a study and the allotment of trials atomic over a
 without it, two processes that create the same empty database crash (SQLite "table already exists", PostgreSQL
 UniqueViolation) and workers overshoot the number of trials. The operating system or the server releases it
 when its holder is killed. A proxy (`optuna.storages.run_grpc_proxy_server`) has no locks, but it
-numbers trials: there the lock is a queue of trials in a study of its own, and who is killed leaves an orphan.
+numbers trials: there the lock is a queue of trials in a separate study, and a killed process leaves an
+orphan.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ def open_study(
         storage: resolved URL.
         name: name of the study.
         direction: `minimize` or `maximize`.
-        fixed: overrides common to all jobs, without which trials are not comparable.
+        fixed: overrides shared by all jobs; trials with different values of these are not comparable.
 
     Raises:
         UserError: if the study exists with another direction or other fixed overrides.

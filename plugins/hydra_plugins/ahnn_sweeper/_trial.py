@@ -49,7 +49,7 @@ class TrialCallback(Callback):
         self._lease: Lease | None = None
 
     def on_job_start(self, config: DictConfig, **kwargs: Any) -> None:  # noqa: ARG002
-        """Claim the trial: from now on its liveness is that of this process."""
+        """Claim the trial: it is now alive as long as this process."""
         node = config.get("trial")
         if node is None or not _speaks():
             return

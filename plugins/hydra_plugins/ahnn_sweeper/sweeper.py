@@ -128,9 +128,9 @@ class AhnnOptunaSweeper(Sweeper):
         space = _space.parse(parser, self.params, arguments)
         if not space.distributions:
             message = (
-                "sweeper: expected at least one searched key; received none in hydra.sweeper.params nor on "
-                "the command line; add for example "
-                "sweep=quick or optimizer.lr='tag(log, interval(1e-4, 1e-2))'"
+                "sweeper: expected at least one key to search; received none in hydra.sweeper.params nor on "
+                "the command line; add for example sweep=quick or optimizer.lr='tag(log, interval(1e-4, "
+                "1e-2))'"
             )
             raise UserError(message)
         draw = optuna.create_study().ask(space.distributions)
@@ -168,8 +168,8 @@ class AhnnOptunaSweeper(Sweeper):
         launcher = str(self.config.hydra.launcher.get("_target_")).rpartition(".")[2]
         if isinstance(devices, int) and devices > 1 and launcher in _IN_PROCESS:
             message = (
-                f"sweeper: expected a launcher that gives a job on {devices} devices a process of its own; "
-                f"received {launcher}; add hydra/launcher=ahnn_process"
+                f"sweeper: expected a launcher that starts a separate process for a job on {devices} "
+                f"devices; received {launcher}; add hydra/launcher=ahnn_process"
             )
             raise UserError(message)
 

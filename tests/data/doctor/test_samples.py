@@ -152,4 +152,4 @@ def test_files_of_other_columns_are_named_beside_the_first(tmp_path):
         (tmp_path / f"{name}.csv").write_text(f"t [s],x [{unit}]\n{rows}")
     found = examine([tmp_path / f"{name}.csv" for name in "abc"], FileReading()).findings
     assert [(one.level, one.file, one.row) for one in found] == [("fault", str(tmp_path / "b.csv"), 1)]
-    assert found[0].what == f"expected the units of {tmp_path / 'a.csv'}; received others"
+    assert found[0].what == f"expected the units of {tmp_path / 'a.csv'}; received different ones"

@@ -137,7 +137,7 @@ def test_the_command_shows_draws_and_ends_with_2(mislabelled, tmp_path, capsys):
     assert max(map(len, shown.out.splitlines())) <= 80
     assert "fault   swings.csv" in shown.out
     assert "1 file, 120 samples: 1 fault, 0 warnings, 0 notes" in shown.out
-    assert shown.err == "ahnn: check: expected valid data; received 1 fault that would spoil a training\n"
+    assert shown.err == "ahnn: check: expected valid data; received 1 fault that would spoil the training\n"
     drawn = {path.name for path in (tmp_path / "seen").iterdir()}
     assert drawn == {"swings.csv.png", "swings.csv.svg", ".ahnn-files"}
     assert call("ahnn.data.__main__", "check", str(ROOT / "tests" / "fixtures" / "swings.csv")) == 0

@@ -21,9 +21,9 @@ def test_columns_that_nothing_is_read_of_are_said(tmp_path):
     ]
     assert [one.what for one in notes] == [
         "1 line skipped, starting with #",
-        "a training does not use standard deviations of single samples: sd_x",
+        "training does not use standard deviations of individual samples: sd_x",
     ]
-    remedy = "Set one for all: sensor=recorded data.noise=...; those of a start are used"
+    remedy = "Set one for all: sensor=recorded data.noise=...; the standard deviations of a start are used"
     assert notes[1].remedy == remedy
     (tmp_path / "a.yaml").write_text("columns: {time: t, positions: x}")
     (tmp_path / "a.csv").write_text("t,x,note\n0,1,9\n1,2,9\n")

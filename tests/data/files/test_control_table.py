@@ -45,7 +45,7 @@ def test_times_that_differ_by_rounding_are_the_same(span):
         assert table.at(at)[:, 0].tolist() == expected
     assert table.at(span * torch.tensor([-5e-10, 1.0], **DOUBLE))[:, 0].tolist() == [0.0, 2.0]
     with pytest.raises(
-        UserError, match=r"expected values from the start on, at -2e-.*; received the first at 0"
+        UserError, match=r"expected values at the start, time -2e-.*; received the first at 0"
     ):
         table.at(span * torch.tensor([-2e-9, 1.0], **DOUBLE))
 
@@ -85,7 +85,7 @@ def test_what_is_no_table_is_refused(tmp_path):
 def test_a_sidecar_of_controls_says_neither_columns_nor_a_frame(tmp_path, said):
     (tmp_path / "c.csv").write_text("t,u\n0,1\n")
     (tmp_path / "c.yaml").write_text(said)
-    with pytest.raises(UserError, match="expected units and controls beside a file of controls"):
+    with pytest.raises(UserError, match="expected units and controls in the sidecar of a file of controls"):
         read_controls(tmp_path / "c.csv", ONE)
 
 

@@ -101,7 +101,7 @@ def test_states_outside_the_useable_span_are_no_data(tmp_path, message):
     found, notes = said(path)
     assert np.allclose(found.tracks[0].values, orbit(10)[1][2:8], rtol=1e-14, atol=0)
     assert (found.epoch, found.tracks[0].times[-1]) == (START + 120 * 10**12, 300.0)
-    assert "4 of 10 states left out, outside USEABLE_START_TIME to USEABLE_STOP_TIME" in notes[0].what
+    assert "4 of 10 states not used, outside USEABLE_START_TIME to USEABLE_STOP_TIME" in notes[0].what
     (read,) = read_oem(path)
     assert np.allclose(read.states, orbit(10)[1][2:8], rtol=1e-14, atol=0)
     late = (span[0], span[1].replace("T12:07", "T11:00"))

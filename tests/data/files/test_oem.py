@@ -223,7 +223,7 @@ def test_ends_of_a_span_may_be_rounded_to_milliseconds(end, kept):
     notes = []
     found = ephemeris(oem.blocks_of(text, "a.oem")[0], notes.append)
     assert len(found.times) == len(found.states) == len(found.rows) == kept
-    assert ("1 of 3 states left out" in str(notes)) is (kept == 2)
+    assert ("1 of 3 states not used" in str(notes)) is (kept == 2)
 
 
 @given(st.integers(-(10**9), 10**9), st.integers(0, SECOND - 1), st.booleans())

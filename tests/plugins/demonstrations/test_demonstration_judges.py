@@ -73,9 +73,9 @@ def test_mu_is_read_off_the_potential_and_kepler_stands_beside(tmp_path):
 
 def test_a_model_without_an_energy_or_data_in_a_plane_have_no_attraction(tmp_path):
     case = planets_case(tmp_path)
-    with pytest.raises(UserError, match="expected one with a Hamiltonian; received learned"):
+    with pytest.raises(UserError, match="expected a Hamiltonian; received learned"):
         Attraction(MU, MASSES)(dataclasses.replace(case, energy=None))
-    with pytest.raises(UserError, match="bodies: expected some, in three dimensions"):
+    with pytest.raises(UserError, match="bodies: expected bodies in three dimensions"):
         Attraction(MU, MASSES).check(None, Space("plane", ("x", "y", "px", "py")), 9)
 
 
@@ -124,14 +124,14 @@ def test_a_fitted_start_of_the_exact_flow_is_the_true_one(tmp_path):
 
 @pytest.mark.parametrize("arc", [3, 576])
 def test_an_arc_that_fits_no_start_is_refused(arc):
-    with pytest.raises(UserError, match=f"arc: expected from 6 to 575 samples.*received {arc}"):
+    with pytest.raises(UserError, match=f"arc: expected 6 to 575 samples.*received {arc}"):
         Horizon(arc, 1.0, 0, beside=OBLATE, **ROWS).check(None, EARTH.space, 575)
 
 
 def test_other_units_are_refused():
     with pytest.raises(UserError, match="beside: expected data in Units"):
         Horizon(9, 1.0, 0, beside=OBLATE, **ROWS).check(None, Space("x", ("q", "p") * 3), 575)
-    with pytest.raises(UserError, match=r"mu: expected that of two-body motion.*received neither"):
+    with pytest.raises(UserError, match=r"mu: expected mu of two-body motion.*received neither"):
         Horizon(9, 1.0, 0, **ROWS)
 
 
@@ -168,7 +168,7 @@ def test_a_system_beside_the_filter_filters_as_a_model_of_the_same_flow_does(tmp
     case = satellites_case(tmp_path)
     short = Trajectories(case.test.states[:, :121], case.test.times[:, :121])
     case = dataclasses.replace(case, test=short, validation=short, flow=exact_flow(OBLATE))
-    with pytest.raises(UserError, match="expected one whose equations are known"):
+    with pytest.raises(UserError, match="expected a system with known equations"):
         ukf().check(None, case.space, 120)
     with pytest.raises(UserError, match="beside: expected data without known equations"):
         ukf(beside=OBLATE).check(EARTH, case.space, 120)

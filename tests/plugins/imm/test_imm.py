@@ -204,8 +204,8 @@ WRONG = {
     "modes: expected at least two; received 1": {"modes": ({},)},
     "modes.1.factor: expected float >= 0; received -1": {"modes": ({}, {"factor": -1.0})},
     "modes.0: unknown key 'noise'": {"modes": ({"noise": 1.0}, {})},
-    "dwell: expected a time > 0, or 2 of them; received 0.0": {"dwell": 0.0},
-    r"dwell: expected a time > 0, or 2 of them; received \(1.0,\)": {"dwell": (1.0,)},
+    "dwell: expected a time > 0, or 2 times; received 0.0": {"dwell": 0.0},
+    r"dwell: expected a time > 0, or 2 times; received \(1.0,\)": {"dwell": (1.0,)},
 }
 
 

@@ -230,7 +230,7 @@ def test_other_test_trajectories_are_left_out_and_named(tmp_path):
     )
     figure = drawn(tmp_path)["mass_spring_energy"]
     assert [s.label for s in figure.panels[0].series] == ["AHNN3", "AHNN5", "floor", "truth"]
-    assert "Left out, since their test trajectories are others: MLP_7." in figure.caption
+    assert "Omitted, since their test trajectories differ: MLP_7." in figure.caption
 
 
 def test_later_evaluations_of_a_run_are_no_seeds(tmp_path):

@@ -83,7 +83,7 @@ def test_the_papers_spaces_compose(tmp_path: Path, space: tuple[str, ...], rates
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("hydra/sweeper=ahnn_optuna",), "expected at least one searched key"),
+        (("hydra/sweeper=ahnn_optuna",), "expected at least one key to search"),
         ((*SEARCH, "y=interval(0.0,1.0)"), "Key 'y' is not in struct"),
         ((*SEARCH, "hydra.sweeper.storage=mysql://host/db"), "sweeper storage: expected"),
     ],

@@ -60,7 +60,7 @@ def test_a_saved_filter_is_of_no_other_directions(make_case):
 
 
 def test_a_training_that_kept_no_directions_is_refused(make_case):
-    with pytest.raises(UserError, match="expected a training that stored its least observable parameters"):
+    with pytest.raises(UserError, match="expected a run that stored its least observable parameters"):
         process(make_case(SPRING, Swing()), directions=None)
 
 

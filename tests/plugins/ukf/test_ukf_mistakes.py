@@ -167,7 +167,7 @@ def test_arrays_lists_and_integers_do_as_well_as_tensors():
         ([[0.0, 1e-11], [0.0, 1.0]], r"Q: expected a symmetric matrix; received \[0, 1\] = 1e-11"),
         (
             [[0.0, 1e-11], [1e-11, 1.0]],
-            r"Q: expected zeros beside the zero variance \[0, 0\]; received \[0, 1\]",
+            r"Q: expected zeros in the row of the zero variance \[0, 0\]; received \[0, 1\]",
         ),
         ([[1e-20, 2e-20], [2e-20, 1e-20]], "Q: expected no negative eigenvalue"),
     ],

@@ -272,7 +272,7 @@ def test_a_gate_that_is_none_is_refused_with_one_message(gate):
 
 
 def test_a_start_time_beside_a_state_is_refused():
-    with pytest.raises(ValueError, match=r"start_time: expected none beside a state.*; received 3.0"):
+    with pytest.raises(ValueError, match=r"start_time: expected none with a state.*; received 3.0"):
         unscented_filter(pendulum, START, [[[0.0]]], Position(1), EYE, EYE[:1, :1], 1.0, start_time=3.0)
 
 

@@ -119,7 +119,7 @@ def test_mistakes_are_named(change: dict, message: str) -> None:
 
 def test_a_range_that_the_search_cannot_begin_in_is_refused(search: tuple) -> None:
     away = Tuning(ranges={"alpha": [1e-3, 0.5]}, trials=2, trajectories=4, steps=100, batch=2, seed=0)
-    with pytest.raises(UserError, match="with the untuned 1 in it"):
+    with pytest.raises(UserError, match="contains the untuned 1, at"):
         tune(*search, away)
 
 

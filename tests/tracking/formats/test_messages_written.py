@@ -75,7 +75,7 @@ def test_any_data_are_read_back(tmp_path_factory, values, steps, missing, event,
 def test_times_of_reflection_cannot_be_written(tmp_path):
     data = gathered("A", [TrackingReading(10**21, "S", {"range": 1.0}, 1)], "bounce")
     with pytest.raises(
-        UserError, match="expected times of reception or transmission; received those of refl"
+        UserError, match="expected times of reception or transmission; received times of refl"
     ):
         write_tdm(tmp_path / "a.tdm", [data])
     assert not (tmp_path / "a.tdm").exists()

@@ -33,7 +33,7 @@ def test_measurements_of_a_moment_are_together(notation):
     assert data.weather[0, 1:].tolist() == [280.0, 0.5]
     assert data.remarks == (
         "not used: RECEIVE_FREQ_1",
-        "ranges and rates of two-way links taken as those of half the way there and back",
+        "ranges and rates of two-way links taken for half the round trip",
         "means over 10 s taken as the range rates at their midpoints",
     )
 
@@ -76,7 +76,7 @@ def test_how_far_a_mean_is_from_the_rate_at_its_middle_is_said():
     (data,) = tdm_data(kvn(meta, "".join(lines)), "a.tdm")
     apart = values(data, "range_rate") - 1e-6 * data.times**2
     assert apart == pytest.approx(np.full(6, 8.333e-6), rel=1e-3)
-    assert data.remarks[-1].endswith("at their midpoints, off by up to about 8.3 mm/s")
+    assert data.remarks[-1].endswith("at their midpoints, with an error of up to about 8.3 mm/s")
 
 
 @BOTH
@@ -121,7 +121,7 @@ WRONG = {
     ("INTEGRATION_REF = END", "INTEGRATION_REF = LAST"): "expected INTEGRATION_INTERVAL and INTEGRATION_REF",
     ("TIMETAG_REF = RECEIVE", "TIMETAG_REF = X"): "column TIMETAG_REF: expected RECEIVE or TRANSMIT",
     ("DATA_QUALITY = VALIDATED", "RECEIVE_DELAY_1 = 1e-5"): "received RECEIVE_DELAY_1 = 1e-5",
-    ("DATA_QUALITY = VALIDATED", "CORRECTION_RANGE = 1"): "expected YES or NO beside corrections",
+    ("DATA_QUALITY = VALIDATED", "CORRECTION_RANGE = 1"): "expected YES or NO with corrections",
     ("DATA_QUALITY = VALIDATED", "MODE = SEQUENTIAL"): "column MODE: expected each keyword once",
 }
 

@@ -32,7 +32,7 @@ def acceleration_drawing() -> Drawing:
     caption = (
         f"{field.name} to degree and order {field.degree}, along an orbit of eccentricity {ECCENTRICITY:g}, "
         f"periapsis altitude {ALTITUDE:g} km, inclination {INCLINATION:g}° and argument of periapsis 270°; "
-        "the body's axes are those of the orbit's frame. Tesserals: all of order above 0."
+        "the axes of the body and of the orbit's frame coincide. Tesserals: all terms of order above 0."
     )
     panel = Panel(tuple(series), "true anomaly [°]", "acceleration [km/s²]", log=True)
     title = "Accelerations along the reference orbit (figure 4 of the paper)"

@@ -56,7 +56,7 @@ def cut(points: Tensor, truth: Tensor, times: float = 3.0) -> Tensor:
     """Return points (T, n) with NaN from where they first diverge far from the truth.
 
     The limit is `times` the greatest extent of the truth, from its centre, so that a diverged prediction does
-    not shrink all others to a dot.
+    not shrink all other curves to a dot.
     """
     known = truth[truth.isfinite().all(-1)]
     if not len(known):

@@ -15,7 +15,7 @@ SLOTS = {name: slot for slot, name in enumerate(reversed(ORDER))}
 
 
 def ordered(models: Sequence[str]) -> list[str]:
-    """Return models in the order of the paper, followed by others."""
+    """Return models in the order of the paper, followed by all other models."""
     known = [name for name in ORDER if name in models]
     return known + [m for m in models if m not in known]
 
@@ -29,7 +29,7 @@ def slots(collection: Collection) -> dict[str, int]:
 
 
 def one_each(entries: Iterable[Entry]) -> list[Entry]:
-    """Return the first evaluation of every training: further ones add nothing to the spread of seeds."""
+    """Return the first evaluation of every run: further evaluations add nothing to the spread of seeds."""
     chosen: dict[Path, Entry] = {}
     for entry in entries:
         chosen.setdefault(training_folder(entry), entry)
@@ -37,6 +37,6 @@ def one_each(entries: Iterable[Entry]) -> list[Entry]:
 
 
 def training_folder(entry: Entry) -> Path:
-    """Return the folder of the run that an evaluation in `RUN/evaluations/NAME` belongs to."""
+    """Return the run folder of an evaluation in `RUN/evaluations/NAME`."""
     folder = entry.folder
     return folder.parent.parent if folder.parent.name == "evaluations" else folder

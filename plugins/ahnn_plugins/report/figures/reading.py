@@ -128,8 +128,8 @@ class Arrays(NamedTuple):
         if array.ndim != len(shape) or not all(same):
             words = ", ".join("any" if n is None else str(n) for n in shape)
             message = (
-                f"{self.path}: {key}: expected shape ({words}); received {tuple(array.shape)}. "
-                "Evaluate the run again"
+                f"{self.path}: {key}: expected shape ({words}); received {tuple(array.shape)}. Evaluate the "
+                "run again"
             )
             raise UserError(message)
         return array.double()
@@ -162,7 +162,7 @@ def _reduced(arrays: Arrays, entry: Entry, slot: int) -> Kept | None:
             # error.
             error = states - truth if name.startswith("ukf/") else errors(states, truth)
             found.rms[name] = _rms(error, space.divisor)
-            found.first[name] = states[0].clone()  # copied, since a view would keep the whole array
+            found.first[name] = states[0].clone()  # copied, since a view would keep the full array
         nees = arrays.get(f"{own}/{start}_nees", (batch, samples))
         average = arrays.get(f"{own}/{start}_sma_floor", (2, samples))
         teeth = _teeth(arrays, f"{own}/{start}", truth, time, space.divisor)

@@ -24,7 +24,7 @@ BESIDE = 0.17
 """Horizontal offsets of a model without and with filter."""
 SIDES = "Left: without measurements; right: with the filter. "
 SPREAD = "Dots: means over seeds; lines: ± standard deviation, as in the tables."
-MEANING = "RMSE: mean over test trajectories of the rms vector norm; floor: what perfect knowledge scores."
+MEANING = "RMSE: mean over test trajectories of the rms vector norm; floor: score of the exact equations."
 
 
 class Dot(NamedTuple):
@@ -82,7 +82,7 @@ def _of_model(runs: list[Entry], start: str, quantity: Quantity, place: int, slo
 def _scores(
     runs: Sequence[Entry], start: str, quantity: Quantity, estimator: str | None, *, floor: bool
 ) -> tuple[float, ...]:
-    """Return the scores of the whole span, one per run that contains it."""
+    """Return the scores of the full span, one per run that contains it."""
     found = []
     for run in runs:
         for row in run.results.rows:
@@ -118,7 +118,7 @@ def _dots(label: str, dots: Sequence[Dot], role: Role, slot: int = 0) -> list[Se
 
 
 def _merged(series: Sequence[Series]) -> tuple[Series, ...]:
-    """Return series with those of floors, and of the paper, merged and placed last."""
+    """Return series, with the series of floors and of the paper merged and placed last."""
     found: dict[tuple[str, Role], Series] = {}
     for each in series:
         key = each.label, each.role
@@ -157,13 +157,13 @@ def _ablation(system: str, entries: Sequence[Entry], slots: dict[str, int]) -> D
         series = _merged([each for found in several for each in found])
         label = f"{quantity} [{_unit(rows[0][0], quantity)}], {start}"
         panels += [Panel(series, "", label, log=True, ticks=ticks)] if _has_model(series) else []
-    caption = f"Models that assume the same, {assumes}. {SIDES}{MEANING}"
+    caption = f"Models with the same assumptions, {assumes}. {SIDES}{MEANING}"
     title = f"{system}: RMSE over the window W of the loss"
     return Drawing(f"{file_name(system)}_windows", title, caption, tuple(panels), "bars", _spread(panels))
 
 
 def _spread(panels: Iterable[Panel]) -> str:
-    """Return what the lines of dots show, if there are any."""
+    """Return the meaning of the lines of dots, if there are any."""
     several = any(series.low is not None for panel in panels for series in panel.series)
     return SPREAD if several else ""
 

@@ -22,7 +22,7 @@ ROOM = 1.08
 def state_drawings(task: Task) -> list[Drawing]:
     """Plot filter estimates and errors, and prediction errors with their band.
 
-    The filter is that of AHNN5, as in the paper; without it, of the model whose filter is the best.
+    The filter belongs to AHNN5, as in the paper; without AHNN5, to the model whose filter is the best.
     """
     found = []
     run = _filtered(task)
@@ -77,9 +77,7 @@ def _errors(task: Task, run: Kept, teeth: Teeth, start: str) -> Drawing:
         series = (main, _marks(teeth, error))
         shown = torch.cat((-wide[settled], wide[settled], error[settled]))
         panels.append(Panel(series, time_label(run), f"error of {label}", limits=_frame(shown)))
-    caption = (
-        f"{_which(run, teeth)}: its error and its band. The scale is that of the time after the first update."
-    )
+    caption = f"{_which(run, teeth)}: its error and its band. The scale is set after the first update."
     title = f"error of {run.entry.model} + {run.filter} in its band, {start} start"
     return task.drawing("ukf_error", title, caption, panels)
 
@@ -96,7 +94,7 @@ def _band(task: Task, run: Kept) -> Drawing:
         series = (curve(name, run.time, error[:, i], slot=run.slot, band=band),)
         panels.append(Panel(series, time_label(run), f"error of {label}"))
     title = f"error of {run.entry.model} in the band of its prediction, true start"
-    caption = f"The first test trajectory of {run.entry.folder.name}; the band is of the learned parameters."
+    caption = f"{run.entry.folder.name}, first test trajectory; band: uncertainty of learned parameters."
     return task.drawing(f"band_{run.slot}", title, caption, panels)
 
 

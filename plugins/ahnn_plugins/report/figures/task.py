@@ -77,13 +77,13 @@ def make_task(system: str, runs: list[Kept]) -> Task:
     same = [run for run in runs if _same_test(run, chosen)]
     others = [run.entry.folder.name for run in runs if run not in same]
     names = ordered(list(dict.fromkeys(run.entry.model for run in same)))
-    note = f"Left out, since their test trajectories are others: {', '.join(others)}." if others else ""
+    note = f"Omitted, since their test trajectories differ: {', '.join(others)}." if others else ""
     models = {m: sorted((run for run in same if run.entry.model == m), key=_seed) for m in names}
     return Task(system, models, note)
 
 
 def _seed(run: Kept) -> float:
-    """Return the seed of a training, sorted first if unknown."""
+    """Return the seed of a run, sorted first if unknown."""
     seed = run.entry.seed
     return seed if isinstance(seed, int | float) else -1.0
 
