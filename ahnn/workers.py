@@ -45,6 +45,11 @@ class Workers(NamedTuple):
             raise UserError(message)
         return cls("ray" if found[1] else "processes", int(found[2]))
 
+    def require_installed(self) -> None:
+        """Raise UserError if the engine is not installed; called before anything is written."""
+        if self.engine == "ray":
+            library("ray", "ray", "ray", "workers")
+
     def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
         """Return the results of a function of a module for each of the items, in their order.
 

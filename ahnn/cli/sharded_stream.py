@@ -41,6 +41,7 @@ def assimilate_sharded(stream: Stream, arguments: list[str], usage: str) -> None
     assert options.workers is not None
     assert isinstance(catalogue, Catalogue)
     workers = Workers.of(options.workers)
+    workers.require_installed()
     joining_shards.require_divisible(options)
     require_states(stream, catalogue)
     shards = joining_shards.shards_of(catalogue, workers.count)
@@ -64,8 +65,9 @@ def assimilate_sharded(stream: Stream, arguments: list[str], usage: str) -> None
 def follow_shard(command: ShardCommand) -> CatalogueOutcome:
     """Follow the objects of one worker, in its process; messages appear on its standard error."""
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
-    logging.getLogger("ahnn").setLevel(command.level)
+    log.setLevel(logging.ERROR)  # the parent has said the rest
     stream = read_stream(command.arguments, command.usage)
+    log.setLevel(command.level)
     assert isinstance(stream.filtering, Catalogue)
     return follow_objects(stream, stream.filtering, judged=False)
 

@@ -49,6 +49,9 @@ def predict(asked: PredictionRequest) -> None:
         UserError: a missing run, invalid starts, or an output that cannot be written.
         TrainingError: predicted states of every trajectory are not finite.
     """
+    workers = None if asked.workers is None else Workers.of(asked.workers)
+    if workers is not None:
+        workers.require_installed()
     runs = named_runs(asked.run, asked.pretrained, asked.ckpt)
     space, clock = runs[0].space, runs[0].space.units.time
     begin = asked_starts(asked.start, asked.start_sd, asked.epoch, asked.frame, space)
@@ -64,11 +67,11 @@ def predict(asked: PredictionRequest) -> None:
         output.require_other(Path(asked.output), Path(asked.start))
     blocks = blocks_of(asked, begin, moments)
     require_room(len(begin.states), begin.states.shape[1], times, runs[0].dt)
-    if asked.workers is None:
+    if workers is None:
         title = f"predicting {len(begin.states):,} trajectories"
         parts = [*map(predict_block, track(blocks, title, len(blocks)) if len(blocks) > 1 else blocks)]
     else:
-        parts = Workers.of(asked.workers).map(predict_block, blocks)
+        parts = workers.map(predict_block, blocks)
     found, begin = finite_prediction(joined(parts).at(moments.chosen, times), begin, clock)
     title = " + ".join(run.folder.name for run in runs)
     if asked.output is not None:

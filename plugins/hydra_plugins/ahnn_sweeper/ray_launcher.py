@@ -6,6 +6,7 @@ any other begins again in another worker, from its last checkpoint, in the same 
 Hydra executes this module outside `sys.modules`: do not combine postponed annotations with dataclasses.
 """
 
+import math
 import os
 import signal
 from collections.abc import Mapping, Sequence
@@ -46,7 +47,7 @@ class RayLauncher(ProcessLauncher):
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> Sequence[JobReturn]:
         """Run the jobs and wait for all of them, even if some fail."""
-        self._ray = workers.connected(self.n_jobs, **self.init)
+        self._ray = workers.connected(math.ceil(self.n_jobs * self.cpus), **self.init)
         return super().launch(job_overrides, initial_job_idx)
 
     def _stop(self) -> None:
