@@ -164,7 +164,9 @@ def checksum(tensors: dict[str, Tensor], about: str) -> str:
     for name in sorted(tensors):
         digest.update(name.encode())
         if tensors[name].numel():  # torch refuses views of some empty tensors
-            content = tensors[name].detach().contiguous().reshape(-1).view(torch.uint8)  # works for every dtype
+            content = (
+                tensors[name].detach().contiguous().reshape(-1).view(torch.uint8)
+            )  # works for every dtype
             digest.update(content.numpy().tobytes())
     return digest.hexdigest()
 

@@ -50,8 +50,11 @@ class MergedRows:
             known.update(row)
             count += 1
         if count != expected:
-            message = f"state: expected {expected} rows in the outputs of all workers; received {count}"
-            raise UserError(f"{message}. Start over with a new state and output")
+            message = (
+                f"state: expected {expected} rows in the outputs of all workers; received {count}. Start over "
+                "with a new state and output"
+            )
+            raise UserError(message)
         record(path, known.hexdigest())
         with atomic_file(path, known.hexdigest()[:MARK]) as file:
             file.write(self.head)

@@ -51,7 +51,9 @@ def blocks_of(asked: PredictionRequest, begin: Starts, moments: Moments) -> list
     states = begin.states.split(TOGETHER)
     known = [None] * len(states) if begin.covariances is None else begin.covariances.split(TOGETHER)
     of_runs = runs, asked.pretrained, asked.ckpt
-    return [StartBlock(*of_runs, *part, moments, len(states) == 1) for part in zip(states, known, strict=True)]
+    return [
+        StartBlock(*of_runs, *part, moments, len(states) == 1) for part in zip(states, known, strict=True)
+    ]
 
 
 def predict_block(block: StartBlock) -> Prediction:

@@ -1,7 +1,7 @@
 """The launcher of `hydra/launcher=ahnn_ray`: each job in a process of its own, started by a task of Ray.
 
 A job whose worker is killed dies with it. A job of a search is then a failed trial, which the search repeats;
-any other begins again in another worker, from its last checkpoint, in the same folder, which all machines see.
+any other begins again in another worker, from its last checkpoint, in the same folder. All machines see it.
 
 Hydra executes this module outside `sys.modules`: do not combine postponed annotations with dataclasses.
 """
