@@ -172,11 +172,12 @@ def writers(path):
 def test_nothing_is_lost_or_doubled_when_a_worker_is_killed(workers):
     if workers.startswith("ray"):
         pytest.importorskip("ray", reason="the extra `ray` is needed")
+    every = [*GIVEN, "every=400"]
     rows = Path("fixes.csv").read_text().splitlines(keepends=True)
     later = [f"{450.0 + 0.01 * k},S{k % 4},,,\n" for k in range(1, 6000)]  # predictions, some seconds of them
     Path("fixes.csv").write_text("".join([*rows, *later]))
-    assert assimilate(*EVERY, "output=one.csv", "states=one.last.csv") == 0
-    command = [sys.executable, "-m", "ahnn.assimilate", *COMMAND, *EVERY, *MADE, f"workers={workers}"]
+    assert assimilate(*every, "output=one.csv", "states=one.last.csv") == 0
+    command = [sys.executable, "-m", "ahnn.assimilate", *COMMAND, *every, *MADE, f"workers={workers}"]
     running = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     part = Path("parts/1.csv")
     while not (part.exists() and part.stat().st_size > 100_000):

@@ -51,8 +51,8 @@ class MergedRows:
             count += 1
         if count != expected:
             message = (
-                f"state: expected {expected} rows in the outputs of all workers; received {count}. Start over "
-                "with a new state and output"
+                f"state: expected {expected} rows in the outputs of all workers; received {count}. "
+                "Start over with a new state and output"
             )
             raise UserError(message)
         record(path, known.hexdigest())
