@@ -30,11 +30,11 @@ class Workers(NamedTuple):
 
     Attributes:
         engine: processes of this machine, or Ray.
-        count: number of tasks at a time.
+        number: of tasks at a time.
     """
 
     engine: Literal["processes", "ray"]
-    count: int
+    number: int
 
     @classmethod
     def of(cls, text: str | int) -> Workers:
@@ -60,26 +60,36 @@ class Workers(NamedTuple):
             TrainingError: the worker of a task was killed each time.
         """
         mapped = _on_ray if self.engine == "ray" else _on_processes
-        return mapped(function, items, self.count)
+        return mapped(function, items, self.number)
 
 
 def connected(cpus: int, **options: Any) -> Any:
     """Return the module ray, connected to the cluster of `ray start`, or to a new one of this process.
 
     Args:
-        cpus: number of tasks at a time on a new cluster.
+        cpus: number of processors of a new cluster.
         options: further arguments of `ray.init`.
 
     Raises:
-        UserError: Ray is not installed.
+        UserError: Ray is not installed, or its cluster does not answer.
     """
     os.environ |= {name: os.environ.get(name, value) for name, value in QUIET.items()}
     ray = library("ray", "ray", "ray", "workers")
-    if not ray.is_initialized():
+    if ray.is_initialized():
+        return ray
+    handler = signal.getsignal(signal.SIGTERM)
+    given = {"logging_level": "warning", **options}
+    try:
         try:
-            ray.init(**{"address": "auto", "logging_level": "warning", **options})
-        except ConnectionError:
-            ray.init(num_cpus=cpus, include_dashboard=False, logging_level="warning", **options)
+            ray.init(**{"num_cpus": cpus, "include_dashboard": False, **given})
+        except ValueError:  # there is a cluster, with processors of its own
+            ray.init(**given)
+    except ConnectionError as error:
+        said = " ".join(str(error).split())
+        message = f"workers: expected the Ray cluster of RAY_ADDRESS or of ray start; received: {said}"
+        raise UserError(message) from error
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, handler)  # Ray replaces it, and ends without a word
     return ray
 
 

@@ -174,7 +174,7 @@ def test_nothing_is_lost_or_doubled_when_a_worker_is_killed(workers):
         pytest.importorskip("ray", reason="the extra `ray` is needed")
     every = [*GIVEN, "every=400"]
     rows = Path("fixes.csv").read_text().splitlines(keepends=True)
-    later = [f"{450.0 + 0.01 * k},S{k % 4},,,\n" for k in range(1, 6000)]  # predictions, some seconds of them
+    later = [f"{450.0 + 0.01 * k},S{k % 4},,,\n" for k in range(1, 3000)]  # predictions, seconds of them
     Path("fixes.csv").write_text("".join([*rows, *later]))
     assert assimilate(*every, "output=one.csv", "states=one.last.csv") == 0
     command = [sys.executable, "-m", "ahnn.assimilate", *COMMAND, *every, *MADE, f"workers={workers}"]

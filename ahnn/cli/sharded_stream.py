@@ -44,7 +44,7 @@ def assimilate_sharded(stream: Stream, arguments: list[str], usage: str) -> None
     workers.require_installed()
     joining_shards.require_divisible(options)
     require_states(stream, catalogue)
-    shards = joining_shards.shards_of(catalogue, workers.count)
+    shards = joining_shards.shards_of(catalogue, workers.number)
     folder = Path(options.state or "")
     folder.mkdir(parents=True, exist_ok=True)
     with claimed(folder):

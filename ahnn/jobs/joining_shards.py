@@ -80,6 +80,7 @@ def together(parts: Sequence[Starts], order: dict[str, int]) -> Starts:
     """Return the states of all parts, sorted by the places of their names; unknown names come last."""
     names = [name for part in parts for name in part.names]
     rows = sorted(range(len(names)), key=lambda k: order.get(names[k], len(order)))
-    states, times = (torch.cat([part[k] for part in parts])[rows] for k in (1, 2))
+    states = torch.cat([part.states for part in parts])[rows]
+    times = torch.cat([part.times for part in parts])[rows]
     covariances = torch.cat([part.covariances for part in parts if part.covariances is not None])[rows]
     return Starts(tuple(names[k] for k in rows), states, times, parts[0].reference, covariances)

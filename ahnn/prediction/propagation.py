@@ -86,7 +86,7 @@ def predicted(
     """
     require_times(times)
     require_finite(start)
-    require_room(*start.shape, times, longest)
+    require_room(len(start), start.shape[1], times, longest)
     return Prediction(
         times, *_followed(FollowedPath(dynamics, known), start, times, longest, description, clock)
     )
