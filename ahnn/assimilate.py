@@ -21,6 +21,7 @@ orbit=FILE.yaml     instead of run=: an orbit determination (ahnn.orbit) to cont
 objects=COLUMN      column with the object of each line (CSV or Parquet), for independent estimates; start is
                     a table of their states, or one for all; every=N lines form a batch (100,000)
 shard=2/8           only the objects of the second of eight workers, selected by name
+workers=2           number of processes that share the objects, or ray:2, tasks of Ray; state=FOLDER
 states=FILE         final states of the objects, usable as start of ahnn.predict: .csv, .parquet, .oem
 window=SECONDS      measurements late by up to this are merged by replay; at most lines=N are kept
 lag=SECONDS         each line also contains the estimate for this much earlier, smoothed with later lines
@@ -53,13 +54,17 @@ USAGE = (
 def assimilate(arguments: list[str]) -> None:
     """Assimilate the stream of a command line; raises errors of `cli.stream` and `jobs.assimilating`."""
     with importing():
+        from ahnn.cli.sharded_stream import assimilate_sharded
         from ahnn.cli.stream import read_stream
         from ahnn.jobs import assimilating
 
     stream = read_stream(arguments, USAGE)
     saved = stream.asked.state is not None
     with ended(lambda: "repeat the command to resume") if saved else nullcontext():
-        assimilating.assimilate(stream)
+        if stream.asked.workers is None:
+            assimilating.assimilate(stream)
+        else:
+            assimilate_sharded(stream, arguments, USAGE)
 
 
 def main() -> None:

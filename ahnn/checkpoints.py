@@ -163,8 +163,12 @@ def checksum(tensors: dict[str, Tensor], about: str) -> str:
     """Return the SHA-256 of tensor names, values and metadata."""
     digest = hashlib.sha256(about.encode())
     for name in sorted(tensors):
-        content = tensors[name].detach().contiguous().reshape(-1).view(torch.uint8)  # works for every dtype
-        digest.update(name.encode() + content.numpy().tobytes())
+        digest.update(name.encode())
+        if tensors[name].numel():  # torch refuses views of some empty tensors
+            content = (
+                tensors[name].detach().contiguous().reshape(-1).view(torch.uint8)
+            )  # works for every dtype
+            digest.update(content.numpy().tobytes())
     return digest.hexdigest()
 
 

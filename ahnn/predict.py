@@ -12,6 +12,7 @@ duration=1d         duration with a unit, or a number in the model's unit of tim
 step=90min          interval of predicted states; default: the training interval
 output=FILE         .csv, .parquet, .oem or .xml; default: only a summary
 figure=FILE         .png or .svg
+workers=2           number of processes that share many starts, or ray:2, tasks of Ray
 epoch=2024-03-01T12:00:00       epoch of time zero, unless the start has dates
 frame=[EME2000,EARTH,UTC]       frame, centre and time system, unless defined by model or file
 """

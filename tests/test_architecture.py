@@ -43,6 +43,7 @@ OPEN = {
 GROUND = OPEN | {"integrators", "measurements", "metrics", "rollouts", "statistics", "checkpoints"}
 MAY_IMPORT = {key: set() for key in ("clock", "errors", "extensions", "locks", "paths", "progress")} | {
     "optional_libraries": {"errors"},
+    "workers": {"errors", "optional_libraries"},
     "types": {"clock", "errors"},
     "numbers": {"errors"},
     "controls": {"errors", "numbers"},
@@ -86,7 +87,8 @@ MAY_IMPORT = {key: set() for key in ("clock", "errors", "extensions", "locks", "
     "untrained": GROUND | {"data", "dynamics"},
     "jobs": GROUND
     | {"assimilation", "data", "dynamics", "evaluation", "graphs", "models", "prediction", "pretrained"}
-    | {"estimation", "loading", "runs", "shooting", "systems", "tracking", "training", "uncertainty"},
+    | {"estimation", "loading", "runs", "shooting", "systems", "tracking", "training", "uncertainty"}
+    | {"workers"},
 }
 ENTRIES = {
     "train",

@@ -56,7 +56,7 @@ MISTAKES = {
     "recipe=measurements data.noise=0.01 loss.robust=cauchy": "loss.robust: expected one of none, huber",
     "model=mlp loss.derivative=1": "model mlp: expected loss=recursive, since a map has no field",
     "model=hnn_derivative loss.derivative=0": "loss.derivative: expected 1.0 with model hnn_derivative",
-    "hydra/launcher=nope": "hydra/launcher: unknown option 'nope'; it takes ahnn_process, basic",
+    "hydra/launcher=nope": "hydra/launcher: unknown option 'nope'; it takes ahnn_process, ahnn_ray, basic",
     "seed=1,2": "'seed=1,2': expected one value; received several. Add -m to run them all",
     "-m --cfg=hydra": "expected one of --multirun and --cfg; received both",
     "--foo": "command line: unrecognized arguments: --foo; see --help",

@@ -56,8 +56,11 @@ class CatalogueSession(StreamSession):
         self.objects, self.shard, self.unknown = objects, shard, set[str]()
         super().__init__(filtering, lines, rows, output, state, every, clock)
 
-    def run(self) -> None:
+    def run(self, *, judged: bool = True) -> None:
         """Assimilate all lines of the stream.
+
+        Args:
+            judged: whether a stream without any accepted line is an error; not for one of several workers.
 
         Raises:
             UserError: a header with unknown names.
@@ -68,7 +71,7 @@ class CatalogueSession(StreamSession):
                 self._take(self.shard.lines(parsed))
                 self._count()
                 self._save()
-            self._end()
+            self._end(judged=judged)
         finally:
             self.close()
 

@@ -21,34 +21,13 @@ from ahnn.assimilation.output_rows import Output, Rows, digest, require_new
 from ahnn.assimilation.parquet_stream import ParquetRows
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.assimilation.stream_sensor import StreamSensor
+from ahnn.assimilation.stream_tally import StreamTally
 from ahnn.data.files import sidecar
-from ahnn.errors import TrainingError, UserError
-from ahnn.estimation.consistency import band
+from ahnn.errors import UserError
 from ahnn.estimation.process_model import Process
 from ahnn.manifest import remove_own
 
 log = logging.getLogger("ahnn")
-
-FEW = 30
-"""Number of measured values below which consistency is not judged."""
-LEAST = 10
-"""Number of lines below which the fraction of accepted ones is not judged."""
-MANY = 0.05
-"""Fraction of rejected measurements that outliers rarely reach."""
-REMEDIES = {
-    "none": "Add lines",
-    "bad": "The lines above state the faults",
-    "late": "They precede the start: set its time= and epoch= of time zero, or window=",
-    "ahead": "They are too long after the start: set its time= and epoch= of time zero, or gap=",
-    "rejected": "Set start= and start_sd=, its time= and epoch= of time zero, or gate=",
-    "repeated": "They were already processed: leave state= out, or start over with a new one",
-    "lost": "Their filters have failed: set start= and start_sd=, or gate=",
-    "unknown": "Their objects have no start: give a table of them, start=FILE, or one start for all, "
-    "start=[..]",
-    "fitted": "The start uses all of them: set fitted=N to use fewer",
-    "predicted": "Their values are missing: fill the columns of the sensor, or set measurement=",
-}
-"""Remedies by the most frequent outcome, if no line was accepted."""
 
 CLOCK = "epoch, time_system"
 """Configuration keys that define the meaning of times."""
@@ -99,7 +78,7 @@ class StreamFilter(Protocol):
         ...
 
 
-class StreamSession:
+class StreamSession(StreamTally):
     """Session of stream, filter and output; subclasses process the lines.
 
     Args:
@@ -130,9 +109,7 @@ class StreamSession:
         self.filter, self.lines, self.rows = filtering, lines, rows
         self.clock, self.controls = clock, controls
         self.state, self.every = state, every
-        self.counts: Counter[str] = Counter()
-        self.nis, self.numbers = 0.0, 0
-        self.disordered = 0  # late lines of this command, timed after the start
+        super().__init__()
         self.layout: Layout | None = None
         self.header, self.path = "", output
         self.beside = None if output == "-" or rows.said is None else Path(output)
@@ -147,26 +124,6 @@ class StreamSession:
             if self.beside is not None:
                 sidecar.require_place(self.beside)
             lines.begin()
-
-    def verdict(self) -> str:
-        """Return a verdict on the consistency of innovations; empty if there are few."""
-        if self.numbers < FEW:
-            return ""
-        mean, (low, high) = self.nis / self.numbers, band(1, self.numbers)
-        text = f"mean NIS per value {mean:.3g}; a consistent filter has {low:.3g} to {high:.3g}"
-        if mean > high:
-            text += ": this one trusts its model or the measurements too much, or accepted outliers (gate=)"
-        return text + (": this one trusts them too little" if mean < low else "") + self._of_the_gate()
-
-    def _of_the_gate(self) -> str:
-        """Return a remark on the fraction of rejected measurements; "" if it is small."""
-        refused, opened = self.counts["rejected"], self.counts["reopened"]
-        fraction = refused / (refused + opened + self.counts["taken"])
-        if not opened and fraction < MANY:
-            return ""
-        count = "once" if opened == 1 else f"{opened:,} times"
-        times = f", and reopened {count} after too many consecutive rejections" if opened else ""
-        return f"; the gate rejected {100 * fraction:.2g} % of the measurements{times}"
 
     def close(self) -> None:
         """Close the files; unsaved lines are processed again on resumption.
@@ -184,46 +141,15 @@ class StreamSession:
             if nothing and self.beside is not None:
                 remove_own(sidecar.beside(self.beside))
 
-    def _end(self) -> None:
-        """Save the final state at the end of a stream; raises if no line was accepted."""
+    def _end(self, *, judged: bool = True) -> None:
+        """Save the final state at the end of a stream; raises if no line was accepted and that is judged."""
         if self.layout is None:
             message = "measurements: expected a header or JSON objects; received no line"
             raise UserError(message)
         self._save()
-        self._require_taken()
-
-    def _require_taken(self) -> None:
-        """Check that some line was accepted, unless the stream only requests predictions.
-
-        Raises:
-            TrainingError: none was; the message states the most frequent outcome and a remedy.
-        """
-        assert self.layout is not None
-        asks = self.counts["predicted"] and self.layout.asks
-        if self.counts["taken"] or self.counts["reopened"] or asks:
-            return
-        most, count = max(self.counts.items(), key=lambda item: item[1], default=("none", 0))
-        received = f"{count:,} of {self.counts.total():,} {most}" if count else "no line after the header"
-        message = f"measurements: expected at least one usable line; received {received}. {REMEDIES[most]}"
-        raise TrainingError(message)
-
-    def require_followed(self) -> None:
-        """Check that at least half of the usable lines were accepted.
-
-        Raises:
-            TrainingError: fewer were; the message names what to check.
-        """
-        refused = {"rejected": self.counts["rejected"], "late": self.disordered}
-        usable = self.counts["taken"] + self.counts["reopened"] + sum(refused.values())
-        if usable < LEAST or 2 * sum(refused.values()) <= usable:
-            return
-        received = " and ".join(f"{count:,} {word}" for word, count in refused.items() if count)
-        order = ", and sort the rows by time" if refused["late"] else ""
-        message = (
-            f"measurements: expected a filter that follows them; received {received} of {usable:,} lines. "
-            f"Check units, order of columns and rows, stations and start{order}"
-        )
-        raise TrainingError(message)
+        self.asks = self.layout.asks
+        if judged:
+            self.require_taken()
 
     def _output(self, known: Notes | None) -> Any:
         """Open the output, as recorded in a state, or a new one for None."""

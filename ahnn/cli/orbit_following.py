@@ -21,6 +21,7 @@ from ahnn.jobs.orbit_stream import OrbitFollowing, orbit_stream
 FOREIGN = (
     "objects",
     "shard",
+    "workers",
     "states",
     "controls",
     "sensors",

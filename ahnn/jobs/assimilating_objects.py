@@ -6,6 +6,7 @@ import gc
 import logging
 from contextlib import closing
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 
@@ -16,6 +17,7 @@ from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.object_shard import ObjectShard
 from ahnn.assimilation.output_rows import Format
 from ahnn.assimilation.parquet_stream import ParquetRows
+from ahnn.assimilation.stream_tally import StreamTally
 from ahnn.assimilation.view import said
 from ahnn.data.estimate_table import described, track_names
 from ahnn.data.starts import Starts
@@ -29,6 +31,22 @@ TOGETHER = 100_000
 """Number of lines per table, and between saved states."""
 
 
+class CatalogueOutcome(NamedTuple):
+    """Outcome of a stream of many objects, or of the objects of one worker.
+
+    Attributes:
+        tally: outcomes of its lines.
+        lines: number of lines read.
+        last: final states.
+        lost: number of lost objects.
+    """
+
+    tally: StreamTally
+    lines: int
+    last: Starts
+    lost: int
+
+
 def assimilate_objects(stream: Stream, catalogue: Catalogue) -> None:
     """Assimilate all lines of a stream of many objects, and write a table of their final states.
 
@@ -36,32 +54,65 @@ def assimilate_objects(stream: Stream, catalogue: Catalogue) -> None:
         UserError: a missing file, or one that does not match the saved state.
         TrainingError: no line was accepted, or most were rejected.
     """
-    options, space = stream.asked, stream.space
+    require_states(stream, catalogue)
+    conclude(stream, follow_objects(stream, catalogue))
+
+
+def require_states(stream: Stream, catalogue: Catalogue) -> None:
+    """Raise UserError if the table of final states cannot be written."""
+    if stream.asked.states:
+        output.require_output(Path(stream.asked.states), _last(stream, catalogue), stream.space)
+
+
+def follow_objects(stream: Stream, catalogue: Catalogue, *, judged: bool = True) -> CatalogueOutcome:
+    """Assimilate all lines of a stream, and write the estimates.
+
+    Args:
+        stream: the stream.
+        catalogue: its filters.
+        judged: whether a stream without any accepted line is an error; not for one of several workers.
+
+    Raises:
+        UserError: a missing file, or one that does not match the saved state.
+        TrainingError: no line was accepted.
+    """
+    options = stream.asked
     state, objects = None if options.state is None else Path(options.state), options.objects or ""
-    table = described(space, stream.reference)
-    beside = table._replace(columns={**table.columns, "id": OBJECT})
-    if options.states:
-        output.require_output(Path(options.states), _last(stream, catalogue), space)
     with closing(_lines(options.measurements, state)) as lines:
-        names = track_names(space)
-        rows = CatalogueRows(names, catalogue.sensors, _kind(options), beside, scales=space.scales)
-        every = options.every or TOGETHER
-        given = options.output, state, every, stream.clock
-        shard = ObjectShard.of(options.shard)
+        given = options.output, state, options.every or TOGETHER, stream.clock
+        shard, rows = ObjectShard.of(options.shard), rows_of(stream, catalogue)
         session = CatalogueSession(catalogue, lines, rows, *given, objects=objects, shard=shard)
         gc.collect()
         gc.freeze()
-        session.run()
-    log.info("%s lines: %s", f"{session.counted:,}", said(session.counts))
-    log.info("%s objects, %d of them lost", f"{len(catalogue.names):,}", len(catalogue.lost))
-    if verdict := session.verdict():
+        session.run(judged=judged)
+    tally = StreamTally.joined([session])
+    return CatalogueOutcome(tally, session.counted, _last(stream, catalogue), len(catalogue.lost))
+
+
+def rows_of(stream: Stream, catalogue: Catalogue) -> CatalogueRows:
+    """Return the formatter of a stream's estimates."""
+    space, kind = stream.space, _kind(stream.asked)
+    table = described(space, stream.reference)
+    beside = table._replace(columns={**table.columns, "id": OBJECT})
+    return CatalogueRows(track_names(space), catalogue.sensors, kind, beside, scales=space.scales)
+
+
+def conclude(stream: Stream, found: CatalogueOutcome) -> None:
+    """Report the outcome of a stream and write the final states.
+
+    Raises:
+        TrainingError: most lines were rejected.
+    """
+    tally, last = found.tally, found.last
+    log.info("%s lines: %s", f"{found.lines:,}", said(tally.counts))
+    log.info("%s objects, %d of them lost", f"{len(last.names):,}", found.lost)
+    if verdict := tally.verdict():
         log.info(verdict)
-    if options.states:
-        last = _last(stream, catalogue)
+    if stream.asked.states:
         assert last.covariances is not None
-        found = Prediction(last.times.new_zeros(1), last.states[:, None], last.covariances[:, None])
-        output.write(Path(options.states), found, last, space)
-    session.require_followed()
+        states = Prediction(last.times.new_zeros(1), last.states[:, None], last.covariances[:, None])
+        output.write(Path(stream.asked.states), states, last, stream.space)
+    tally.require_followed()
 
 
 def _last(stream: Stream, catalogue: Catalogue) -> Starts:

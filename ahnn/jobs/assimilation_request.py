@@ -35,6 +35,7 @@ class AssimilationRequest:
     every: Count | None = None
     objects: str | None = None
     shard: str | None = None
+    workers: int | str | None = None
     states: str | None = None
     start: str | list[float] | None = None
     start_sd: list[Positive] | None = None
@@ -107,7 +108,7 @@ def require_places(options: AssimilationRequest) -> None:
 def require_together(options: AssimilationRequest) -> None:
     """Raise UserError for options of single-object streams combined with options for many objects."""
     if options.objects is None:
-        for key in ("states", "shard"):
+        for key in ("states", "shard", "workers"):
             if (value := getattr(options, key)) is not None:
                 message = f"{key}: expected {key}={value} with objects=COLUMN; received no objects"
                 raise UserError(message)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,13 @@ from ahnn.evaluation.terminal import show
 from ahnn.jobs.asked_starts import asked_starts
 from ahnn.jobs.control_times import moments_of
 from ahnn.jobs.named import named_runs
-from ahnn.prediction import durations, output, together
-from ahnn.prediction.propagation import require_finite_prediction
+from ahnn.jobs.predicting_blocks import blocks_of, predict_block
+from ahnn.prediction import durations, output
+from ahnn.prediction.many_trajectories import finite_prediction, joined
+from ahnn.prediction.propagation import require_room
 from ahnn.prediction.summary import summary, warning
+from ahnn.progress import track
+from ahnn.workers import Workers
 
 log = logging.getLogger("ahnn")
 
@@ -33,6 +37,7 @@ class PredictionRequest:
     step: str | float | None = None
     output: str | None = None
     figure: str | None = None
+    workers: int | str | None = None
     epoch: str | None = None
     frame: str | list[str] | None = None
 
@@ -42,8 +47,11 @@ def predict(asked: PredictionRequest) -> None:
 
     Raises:
         UserError: a missing run, invalid starts, or an output that cannot be written.
-        TrainingError: a predicted state is not finite.
+        TrainingError: predicted states of every trajectory are not finite.
     """
+    workers = None if asked.workers is None else Workers.of(asked.workers)
+    if workers is not None:
+        workers.require_installed()
     runs = named_runs(asked.run, asked.pretrained, asked.ckpt)
     space, clock = runs[0].space, runs[0].space.units.time
     begin = asked_starts(asked.start, asked.start_sd, asked.epoch, asked.frame, space)
@@ -57,30 +65,21 @@ def predict(asked: PredictionRequest) -> None:
         output.require_figure(Path(asked.figure))
     if asked.output is not None and isinstance(asked.start, str):
         output.require_other(Path(asked.output), Path(asked.start))
-    if not all(run.uncertainty for run in runs):  # a mean over only some of the models would be meaningless
-        runs = [replace(run, uncertainty=None) for run in runs]
-    known, (whole, chosen, controls) = begin.covariances, moments
-    found = together(
-        [
-            run.predict(
-                begin.states,
-                whole,
-                f"predicting with {run.folder.name}",
-                start_covariance=known,
-                controls=controls and controls.values,
-                linear=controls is not None and controls.linear,
-            )
-            for run in runs
-        ]
-    ).at(chosen, times)
-    require_finite_prediction(found, clock)
+    blocks = blocks_of(asked, begin, moments)
+    require_room(len(begin.states), begin.states.shape[1], times, runs[0].dt)
+    if workers is None:
+        title = f"predicting {len(begin.states):,} trajectories"
+        parts = [*map(predict_block, track(blocks, title, len(blocks)) if len(blocks) > 1 else blocks)]
+    else:
+        parts = workers.map(predict_block, blocks)
+    found, begin = finite_prediction(joined(parts).at(moments.chosen, times), begin, clock)
     title = " + ".join(run.folder.name for run in runs)
     if asked.output is not None:
         output.write(Path(asked.output), found, begin, space)
     if asked.figure is not None:
         output.draw(Path(asked.figure), found, space, title)
     show(summary(found, begin, space, title))
-    if known is not None and not runs[0].uncertainty:
+    if begin.covariances is not None and not all(run.uncertainty for run in runs):
         what = "the start" if len(runs) == 1 else "the start and the differences between the runs"
         log.warning("1 sigma: from %s only; these weights carry no uncertainty of the dynamics", what)
     if remark := warning(found, begin, space):

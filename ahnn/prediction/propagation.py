@@ -17,7 +17,7 @@ from torch import Tensor
 from ahnn.clock import Clock
 from ahnn.deviations import require_finite
 from ahnn.dynamics import Dynamics, HasField
-from ahnn.errors import TrainingError, UserError
+from ahnn.errors import UserError
 from ahnn.memory import require_memory
 from ahnn.prediction.followed_path import FollowedPath, Knowledge, PathRows
 from ahnn.progress import track
@@ -86,9 +86,7 @@ def predicted(
     """
     require_times(times)
     require_finite(start)
-    (count, size), samples = start.shape, len(times)
-    numbers = count * samples * size * (size + 3) + float(times[-1] - times[0]) / longest
-    require_memory("times", "predicted states", 8.0 * numbers)
+    require_room(len(start), start.shape[1], times, longest)
     return Prediction(
         times, *_followed(FollowedPath(dynamics, known), start, times, longest, description, clock)
     )
@@ -180,16 +178,7 @@ def require_times(times: Tensor) -> None:
         raise UserError(message)
 
 
-def require_finite_prediction(prediction: Prediction, unit: str) -> None:
-    """Raise TrainingError, with the time, for non-finite predicted states or covariances."""
-    wrong = ~prediction.states.isfinite().all(-1)
-    if prediction.covariances is not None:
-        wrong |= ~prediction.covariances.isfinite().all(-1).all(-1)
-    if bool(wrong.any()):
-        lost = int(wrong.any(0).nonzero()[0])
-        row, time = int(wrong[:, lost].nonzero()[0]), float(prediction.times[lost])
-        message = (
-            f"prediction: expected finite states; received NaN or infinity {time:g} {unit} after start "
-            f"{row + 1}. Nothing was written: shorten duration, or check start and model"
-        )
-        raise TrainingError(message)
+def require_room(count: int, size: int, times: Tensor, longest: float) -> None:
+    """Raise UserError if states (count, T, size) at times (T,) and their covariances exceed the memory."""
+    numbers = count * len(times) * size * (size + 3) + float(times[-1] - times[0]) / longest
+    require_memory("times", "predicted states", 8.0 * numbers)

@@ -19,6 +19,8 @@ from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
+from ahnn.workers import end_with
+
 if sys.platform == "win32":
     _context = multiprocessing.get_context("spawn")
 else:
@@ -32,15 +34,16 @@ def serve(imports: Sequence[str]) -> None:
     _context.set_forkserver_preload(["hydra_plugins.ahnn_sweeper._held", *imports])
 
 
-def start(program: str, arguments: list[str], log: Path) -> BaseProcess:
+def start(program: str, arguments: list[str], log: Path, *, bound: bool = False) -> BaseProcess:
     """Start a command with its output in a file.
 
     Args:
         program: module name, as for `python -m`, or path of a script.
         arguments: command line arguments.
         log: file for standard output and standard error.
+        bound: whether the command is killed when this process ends, and its output added to the file.
     """
-    process = _context.Process(target=_run, args=(program, arguments, str(log)))
+    process = _context.Process(target=_run, args=(program, arguments, str(log), bound))
     with _one_thread:
         process.start()
     return process
@@ -55,13 +58,15 @@ def exit_code(process: BaseProcess) -> int:
     return process.exitcode
 
 
-def _run(program: str, arguments: list[str], log: str) -> None:
+def _run(program: str, arguments: list[str], log: str, bound: bool) -> None:
     """Run the command in the forked process, including its exit handlers."""
     from hydra_plugins.ahnn_sweeper._held import HANDLERS
 
     for number, handler in HANDLERS.items():
         signal.signal(number, handler)
-    with open(log, "wb") as output:
+    if bound:
+        end_with(multiprocessing.parent_process())
+    with open(log, "ab" if bound else "wb") as output:
         os.dup2(output.fileno(), 1)
         os.dup2(output.fileno(), 2)
     sys.argv = [program, *arguments]

@@ -67,8 +67,7 @@ class ProcessLauncher(Launcher):
         finally:  # an interrupt of the sweep terminates its jobs
             self._ended = True
             pool.shutdown(wait=False, cancel_futures=True)
-            for process in list(self._running):
-                process.terminate()
+            self._stop()
         failed = [job for job in returns if job.status == JobStatus.FAILED]
         if len(job_overrides) > 1 and failed:
             reasons = "\n".join(f"    {job._return_value}" for job in failed)
@@ -96,12 +95,7 @@ class ProcessLauncher(Launcher):
         logger.info("\t#%d : %s", number, " ".join(filter_overrides(overrides)))
         begin = time.monotonic()
         log = folder / "console.log"
-        process = _forked.start(_program(), self._arguments(number, overrides, folder), log)
-        self._running.add(process)
-        if self._ended:  # by an interrupt during process start
-            process.terminate()
-        code = _forked.exit_code(process)
-        self._running.discard(process)
+        code = self._exit_code(self._arguments(number, overrides, folder), log)
         job = JobReturn(overrides=list(overrides), working_dir=os.getcwd(), status=JobStatus.COMPLETED)
         if code != 0:
             how = (
@@ -113,6 +107,21 @@ class ProcessLauncher(Launcher):
                 tail = log.read_text(errors="replace").splitlines()[-_TAIL:]
                 logger.error("%s\n%s", reason, "\n".join(f"    {line}" for line in tail))
         return job
+
+    def _stop(self) -> None:
+        """Terminate the jobs that run."""
+        for process in list(self._running):
+            process.terminate()
+
+    def _exit_code(self, arguments: list[str], log: Path) -> int:
+        """Run a command to its end and return its exit code, or the negative number of its signal."""
+        process = _forked.start(program(), arguments, log)
+        self._running.add(process)
+        if self._ended:  # by an interrupt during process start
+            process.terminate()
+        code = _forked.exit_code(process)
+        self._running.discard(process)
+        return code
 
     def _arguments(self, number: int, overrides: Sequence[str], folder: Path) -> list[str]:
         """Return the arguments of this sweep's command as a single run of one job."""
@@ -135,7 +144,7 @@ class ProcessLauncher(Launcher):
         return [*flags, *map(str, kept), *overrides, *own]
 
 
-def _program() -> str:
+def program() -> str:
     """Return the module or the script that this process runs."""
     import __main__
 

@@ -1,0 +1,108 @@
+"""Number of lines of a stream by outcome, consistency of its innovations, and verdicts on both."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+
+from ahnn.errors import TrainingError
+from ahnn.estimation.consistency import band
+
+FEW = 30
+"""Number of measured values below which consistency is not judged."""
+LEAST = 10
+"""Number of lines below which the fraction of accepted ones is not judged."""
+MANY = 0.05
+"""Fraction of rejected measurements that outliers rarely reach."""
+REMEDIES = {
+    "none": "Add lines",
+    "bad": "The lines above state the faults",
+    "late": "They precede the start: set its time= and epoch= of time zero, or window=",
+    "ahead": "They are too long after the start: set its time= and epoch= of time zero, or gap=",
+    "rejected": "Set start= and start_sd=, its time= and epoch= of time zero, or gate=",
+    "repeated": "They were already processed: leave state= out, or start over with a new one",
+    "lost": "Their filters have failed: set start= and start_sd=, or gate=",
+    "unknown": "Their objects have no start: give a table of them, start=FILE, or one start for all, "
+    "start=[..]",
+    "fitted": "The start uses all of them: set fitted=N to use fewer",
+    "predicted": "Their values are missing: fill the columns of the sensor, or set measurement=",
+}
+"""Remedies by the most frequent outcome, if no line was accepted."""
+
+
+class StreamTally:
+    """Outcome of a stream, in total.
+
+    Attributes:
+        counts: number of lines by outcome.
+        nis, numbers: sum of the NIS of accepted lines, and their number of values.
+        disordered: number of late lines that do not precede the start, of this command.
+        asks: whether the stream may only request predictions.
+    """
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+        self.nis, self.numbers = 0.0, 0
+        self.disordered, self.asks = 0, False
+
+    @classmethod
+    def joined(cls, parts: Iterable[StreamTally]) -> StreamTally:
+        """Return the total of streams of different objects."""
+        total = StreamTally()
+        for part in parts:
+            total.counts.update(part.counts)
+            total.nis, total.numbers = total.nis + part.nis, total.numbers + part.numbers
+            total.disordered, total.asks = total.disordered + part.disordered, total.asks or part.asks
+        return total
+
+    def verdict(self) -> str:
+        """Return a verdict on the consistency of innovations; empty if there are few."""
+        if self.numbers < FEW:
+            return ""
+        mean, (low, high) = self.nis / self.numbers, band(1, self.numbers)
+        text = f"mean NIS per value {mean:.3g}; a consistent filter has {low:.3g} to {high:.3g}"
+        if mean > high:
+            text += ": this one trusts its model or the measurements too much, or accepted outliers (gate=)"
+        return text + (": this one trusts them too little" if mean < low else "") + self._of_the_gate()
+
+    def _of_the_gate(self) -> str:
+        """Return a remark on the fraction of rejected measurements; "" if it is small."""
+        refused, opened = self.counts["rejected"], self.counts["reopened"]
+        fraction = refused / (refused + opened + self.counts["taken"])
+        if not opened and fraction < MANY:
+            return ""
+        count = "once" if opened == 1 else f"{opened:,} times"
+        times = f", and reopened {count} after too many consecutive rejections" if opened else ""
+        return f"; the gate rejected {100 * fraction:.2g} % of the measurements{times}"
+
+    def require_taken(self) -> None:
+        """Check that some line was accepted, unless the stream only requests predictions.
+
+        Raises:
+            TrainingError: none was; the message states the most frequent outcome and a remedy.
+        """
+        predicts = self.asks and self.counts["predicted"]
+        if self.counts["taken"] or self.counts["reopened"] or predicts:
+            return
+        most, count = max(self.counts.items(), key=lambda item: item[1], default=("none", 0))
+        received = f"{count:,} of {self.counts.total():,} {most}" if count else "no line after the header"
+        message = f"measurements: expected at least one usable line; received {received}. {REMEDIES[most]}"
+        raise TrainingError(message)
+
+    def require_followed(self) -> None:
+        """Check that at least half of the usable lines were accepted.
+
+        Raises:
+            TrainingError: fewer were; the message names what to check.
+        """
+        refused = {"rejected": self.counts["rejected"], "late": self.disordered}
+        usable = self.counts["taken"] + self.counts["reopened"] + sum(refused.values())
+        if usable < LEAST or 2 * sum(refused.values()) <= usable:
+            return
+        received = " and ".join(f"{count:,} {word}" for word, count in refused.items() if count)
+        order = ", and sort the rows by time" if refused["late"] else ""
+        message = (
+            f"measurements: expected a filter that follows them; received {received} of {usable:,} lines. "
+            f"Check units, order of columns and rows, stations and start{order}"
+        )
+        raise TrainingError(message)

@@ -1,0 +1,77 @@
+"""Blocks of starts: one process predicts them in turn, several share them, with the same results."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import TYPE_CHECKING, NamedTuple
+
+from torch import Tensor
+
+from ahnn.data.starts import Starts
+from ahnn.jobs.control_times import Moments
+from ahnn.jobs.named import named_runs
+from ahnn.prediction import together
+from ahnn.prediction.propagation import Prediction
+from ahnn.runs import Run
+
+if TYPE_CHECKING:
+    from ahnn.jobs.predicting import PredictionRequest
+
+TOGETHER = 250
+"""Number of starts of a block. What is decided for all of them, such as the order of a quadrature, does not
+depend on the number of workers."""
+
+
+class StartBlock(NamedTuple):
+    """Starts that one process predicts.
+
+    Attributes:
+        runs: folders of the trainings; empty for a shipped model.
+        pretrained: name of a shipped model.
+        ckpt: which weights.
+        states: (B, D) starts.
+        covariances: (B, D, D) covariances of the starts, or None.
+        moments: time steps and controls.
+        is_only: whether there is no other block.
+    """
+
+    runs: tuple[str, ...]
+    pretrained: str | None
+    ckpt: str
+    states: Tensor
+    covariances: Tensor | None
+    moments: Moments
+    is_only: bool
+
+
+def blocks_of(asked: PredictionRequest, begin: Starts, moments: Moments) -> list[StartBlock]:
+    """Divide the starts of a prediction."""
+    runs = () if asked.run is None else tuple(asked.run) if isinstance(asked.run, list) else (asked.run,)
+    states = begin.states.split(TOGETHER)
+    known = [None] * len(states) if begin.covariances is None else begin.covariances.split(TOGETHER)
+    of_runs = runs, asked.pretrained, asked.ckpt
+    return [
+        StartBlock(*of_runs, *part, moments, len(states) == 1) for part in zip(states, known, strict=True)
+    ]
+
+
+def predict_block(block: StartBlock) -> Prediction:
+    """Return the mean prediction of all runs; raises as `Run.predict`."""
+    controls = block.moments.controls
+    found = []
+    for run in _loaded(block.runs, block.pretrained, block.ckpt):
+        told = f"predicting with {run.folder.name}" if block.is_only else None
+        asked = {"controls": controls and controls.values, "linear": controls is not None and controls.linear}
+        known = block.covariances
+        found.append(run.predict(block.states, block.moments.times, told, start_covariance=known, **asked))
+    return together(found)
+
+
+@cache
+def _loaded(runs: tuple[str, ...], pretrained: str | None, ckpt: str) -> list[Run]:
+    """Return runs, all with the covariance of their parameters or none: a mean over some is meaningless."""
+    found = named_runs(list(runs) or None, pretrained, ckpt)
+    if not all(run.uncertainty for run in found):
+        return [replace(run, uncertainty=None) for run in found]
+    return found

@@ -1,0 +1,64 @@
+"""Predictions of many trajectories: blocks joined, and those that are not finite reported and left out."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+
+import torch
+
+from ahnn.data.starts import Starts
+from ahnn.errors import TrainingError
+from ahnn.prediction.propagation import Prediction
+
+log = logging.getLogger("ahnn")
+
+NAMED = 5
+"""Number of trajectories that are reported individually."""
+
+
+def joined(parts: Sequence[Prediction]) -> Prediction:
+    """Return the predictions of several blocks of starts as one, in their order."""
+    columns = [
+        None if rows[0] is None else torch.cat(rows) for rows in zip(*(p[1:] for p in parts), strict=True)
+    ]
+    return Prediction(parts[0].times, *columns)  # pyright: ignore[reportArgumentType]
+
+
+def finite_prediction(prediction: Prediction, starts: Starts, unit: str) -> tuple[Prediction, Starts]:
+    """Return the trajectories whose states and covariances are finite, and report the others.
+
+    Raises:
+        TrainingError: none is; the message names the first with the time.
+    """
+    wrong = ~prediction.states.isfinite().all(-1)
+    if prediction.covariances is not None:
+        wrong |= ~prediction.covariances.isfinite().all(-1).all(-1)
+    if not bool(wrong.any()):
+        return prediction, starts
+    lost, sound = wrong.any(1).nonzero()[:, 0].tolist(), ~wrong.any(1)
+    after = {k: f"{float(prediction.times[wrong[k].nonzero()[0, 0]]):g} {unit}" for k in lost}
+    if len(lost) == len(wrong):
+        first = min(lost, key=lambda k: int(wrong[k].nonzero()[0]))
+        message = (
+            f"prediction: expected finite states; received NaN or infinity {after[first]} after start "
+            f"{first + 1}. Nothing was written: shorten duration, or check start and model"
+        )
+        raise TrainingError(message)
+    for k in lost[:NAMED]:
+        log.warning(
+            "%s: its prediction is NaN or infinite from %s after its start on; left out",
+            starts.names[k],
+            after[k],
+        )
+    if len(lost) > NAMED:
+        log.warning(
+            "%d more of %d trajectories are left out for the same reason", len(lost) - NAMED, len(wrong)
+        )
+    rest = [None if part is None else part[sound] for part in prediction[1:]]
+    names = tuple(name for name, is_sound in zip(starts.names, sound.tolist(), strict=True) if is_sound)
+    known = None if starts.covariances is None else starts.covariances[sound]
+    kept = starts._replace(
+        names=names, states=starts.states[sound], times=starts.times[sound], covariances=known, since=None
+    )
+    return Prediction(prediction.times, *rest), kept  # pyright: ignore[reportArgumentType]
