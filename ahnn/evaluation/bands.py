@@ -13,7 +13,7 @@ from torch import Tensor
 from ahnn.dynamics import Dynamics
 from ahnn.evaluation import style
 from ahnn.evaluation.case import Case
-from ahnn.evaluation.independent_directions import DirectionTest, direction_test
+from ahnn.evaluation.independent_directions import TOO_FEW, DirectionTest, direction_test
 from ahnn.labels import quantity
 from ahnn.metrics import errors
 from ahnn.types import Space
@@ -61,7 +61,7 @@ class Band(NamedTuple):
         """Return whether the bands are right, for the verdict; "" with too few independent directions."""
         told = self.test.verdict
         found = f"bands of the prediction are {told}: errors are {self.test.scatter:.2f} standard deviations"
-        return "" if "few" in told else found
+        return "" if told == TOO_FEW else found
 
     def numbers(self) -> dict[str, Any]:
         """Return plain values for metrics.json."""

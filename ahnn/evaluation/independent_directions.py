@@ -19,6 +19,8 @@ VARIANCE = 0.99
 """Part of the variance of the bands that the directions have together; the others are hardly seen in them."""
 MIDDLE = 0.95
 """Of trainings whose bands are right, this fraction is within the interval."""
+TOO_FEW = "too few independent directions to tell"
+"""Verdict where calibrated bands have so wide an interval that it is no check."""
 HALF = 0.5
 """An interval that admits bands of half or of twice the right width is no check."""
 
@@ -47,14 +49,14 @@ class DirectionTest(NamedTuple):
         if self.scatter > high:
             return "too narrow"
         if low < HALF:
-            return "too few independent directions to tell"
+            return TOO_FEW
         return "too wide" if self.scatter < low else "right"
 
     def sentence(self) -> str:
         """Return the finding in words."""
         low, high = self.right
         found = f"errors along {self.directions} independent directions are {self.scatter:.2f} deviations"
-        if self.verdict.startswith("too few"):
+        if self.verdict == TOO_FEW:
             return f"{found}: {self.verdict}"
         return f"{found}, with calibrated bands {low:.2f} to {high:.2f} in 19 of 20 trainings: {self.verdict}"
 
