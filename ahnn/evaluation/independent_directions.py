@@ -3,6 +3,10 @@
 With W the sensitivities of all states, in their standard deviations, to independent causes of variance 1,
 right bands mean errors W eta with eta ~ N(0, I). Along an eigenvector v of W^T W with the eigenvalue s^2 the
 errors e are z = v^T W^T e / s^2 ~ N(0, 1), independently: the sum of z^2 over k directions is chi-square.
+
+The rms error over the bound weights directions by their variance: with W in units of the state it is
+(sum s^2 z^2 / sum s^2)^1/2. Where few directions have most of the variance it scatters widely, and it is
+below 1 in more than half of the trainings at the bound.
 """
 
 from __future__ import annotations
@@ -21,8 +25,14 @@ MIDDLE = 0.95
 """Of trainings whose bands are right, this fraction is within the interval."""
 TOO_FEW = "too few independent directions to tell"
 """Verdict where calibrated bands have so wide an interval that it is no check."""
+LEAST = 1e-4
+"""Part of the variance that the ratio of error and bound leaves out, at most."""
 HALF = 0.5
 """An interval that admits bands of half or of twice the right width is no check."""
+
+
+DRAWS = 20_000
+"""Draws of independent directions for the ratio of error and bound."""
 
 
 class DirectionTest(NamedTuple):
@@ -75,6 +85,19 @@ def direction_test(parts: Iterable[tuple[Tensor, Tensor]]) -> DirectionTest:
         matrix = matrix + (rows.mT @ rows).double()
         pull = pull + (rows.mT @ (errors[seen] / sd[seen].squeeze(-1)).to(rows)).double()
     return scatter_of(matrix, pull)
+
+
+def ratio_interval(matrix: Tensor) -> tuple[float, float]:
+    """Return the middle 95 % of rms error over bound in calibrated trainings, from W^T W, shape (R, R)."""
+    sizes = torch.linalg.eigvalsh(matrix.double()).clamp(min=0)
+    parts = sizes / sizes.sum()
+    squares = torch.zeros(DRAWS, dtype=torch.float64)
+    generator = torch.Generator().manual_seed(0)
+    for part in parts[parts > LEAST / len(parts)]:
+        squares += part * torch.randn(DRAWS, generator=generator, dtype=torch.float64).square()
+    ends = torch.tensor([(1 - MIDDLE) / 2, (1 + MIDDLE) / 2], dtype=torch.float64)
+    low, high = torch.quantile(squares.sqrt(), ends).tolist()
+    return low, high
 
 
 def together(tests: Sequence[DirectionTest]) -> DirectionTest:
