@@ -88,16 +88,21 @@ def direction_test(parts: Iterable[tuple[Tensor, Tensor]]) -> DirectionTest:
 
 
 def ratio_interval(matrix: Tensor) -> tuple[float, float]:
-    """Return the middle 95 % of rms error over bound in calibrated trainings, from W^T W, shape (R, R)."""
+    """Return the middle 95 % of rms error over bound in trainings at the bound, from W^T W, shape (R, R)."""
+    ends = torch.tensor([(1 - MIDDLE) / 2, (1 + MIDDLE) / 2], dtype=torch.float64)
+    low, high = torch.quantile(ratio_draws(matrix), ends).tolist()
+    return low, high
+
+
+def ratio_draws(matrix: Tensor) -> Tensor:
+    """Return `DRAWS` ratios of rms error and bound at the bound, from W^T W, shape (R, R)."""
     sizes = torch.linalg.eigvalsh(matrix.double()).clamp(min=0)
     parts = sizes / sizes.sum()
     squares = torch.zeros(DRAWS, dtype=torch.float64)
     generator = torch.Generator().manual_seed(0)
     for part in parts[parts > LEAST / len(parts)]:
         squares += part * torch.randn(DRAWS, generator=generator, dtype=torch.float64).square()
-    ends = torch.tensor([(1 - MIDDLE) / 2, (1 + MIDDLE) / 2], dtype=torch.float64)
-    low, high = torch.quantile(squares.sqrt(), ends).tolist()
-    return low, high
+    return squares.sqrt()
 
 
 def together(tests: Sequence[DirectionTest]) -> DirectionTest:

@@ -117,7 +117,7 @@ def test_the_ratio_of_error_and_bound_has_the_interval_of_its_directions():
 
 
 def test_errors_at_the_bound_are_in_that_interval_in_19_of_20_trainings():
-    """Of 400, with the spectrum of a pendulum: 6 and 36 are the ends of 99.9 % of the binomial distribution."""
+    """Of 400, with the spectrum of a pendulum: 6 to 36 in 99.9 % of cases, by the binomial distribution."""
     sizes = torch.tensor([0.43, 0.13, 0.11, 0.07, *[0.02] * 13], **DOUBLE)
     low, high = ratio_interval(torch.diag(sizes))
     z = torch.randn(400, len(sizes), generator=torch.Generator().manual_seed(5), **DOUBLE)
