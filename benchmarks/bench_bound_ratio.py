@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import torch
 from omegaconf import OmegaConf
@@ -30,6 +30,7 @@ from ahnn import load
 from ahnn.cli.parts import build_sensor, build_source
 from ahnn.data.sensor import Sensor
 from ahnn.data.splits import split_sizes
+from ahnn.dynamics import HasField
 from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.evaluation.independent_directions import ratio_draws, ratio_interval
 from ahnn.runs import Run
@@ -144,8 +145,9 @@ def ratio(run: Run, swings: Swings, nodes: Tensor, starts: Tensor, seed: int) ->
     predicted = torch.einsum("g,gnm->nm", spread(first[-test:], one[-test:]), swings.predicted)
     states = torch.stack((nodes, torch.zeros_like(nodes)), dim=-1)
     theta = parameters_to_vector(run.trained.parameters()).detach()
-    slopes = field_jacobian(run.trained, torch.float64)(theta, states)[:, -1]
-    off = run.trained.field(states)[:, 1].detach() - system.force(nodes)
+    learned = cast(HasField, run.trained)
+    slopes = field_jacobian(learned, torch.float64)(theta, states)[:, -1]
+    off = learned.field(states)[:, 1].detach() - system.force(nodes)
     matrix = slopes.mT @ information @ slopes
     prior = prior_of(run)
     factor = posterior_factor(matrix, prior)

@@ -89,8 +89,8 @@ def verdicts(found: ResidualTests, names: tuple[str, ...], interval: float, robu
     if robust == "none" and float(found.tails.max()) > FEW and bool((found.tails * pairs > 2).any()):
         outliers = in_percent(float(found.tails.max()))
         said.append(
-            f"{outliers} of the values are outliers, which loss.robust=student downweights; tails of the "
-            "noise are estimated with data.tails=estimate"
+            f"{outliers} of the values are outliers, which loss.robust=student downweights and "
+            "data.tails=estimate takes for heavy tails"
         )
     return said
 

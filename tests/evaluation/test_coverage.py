@@ -160,6 +160,10 @@ def test_an_evaluation_tells_and_draws_the_band(tmp_path):
         .startswith("bands of 1, 2 and 3 standard deviations contain 100, 100, 100 %")
     )
     assert "are 0.50 deviations: too few independent directions to tell)" in findings.rows[0].note
+    assert "times the noise bound (at the bound 0.03 to 2.2" in findings.rows[0].note
+    (position, velocity) = findings.numbers["uncertainty"]["usual"]
+    assert position == pytest.approx(DirectionTest(1, 1.0).right, abs=0.04)  # one parameter
+    assert velocity == pytest.approx(position)
     assert findings.numbers["uncertainty"]["coverage"] == [1, 1, 1]
     assert findings.numbers["uncertainty"]["test"]["directions"] == 1
     assert findings.numbers["uncertainty"]["determined"] == 1.0
