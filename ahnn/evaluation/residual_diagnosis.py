@@ -90,7 +90,7 @@ def verdicts(found: ResidualTests, names: tuple[str, ...], interval: float, robu
         outliers = in_percent(float(found.tails.max()))
         said.append(
             f"{outliers} of the values are outliers, which loss.robust=student downweights and "
-            "data.tails=estimate takes for heavy tails"
+            "data.tails=estimate models"
         )
     return said
 

@@ -53,7 +53,7 @@ def conclude_with_noise(
     instrument = train.instrument._replace(bias_sd=unknown.bias_sd)
     if unknown.tails:  # a first fit that outliers do not spoil
         instrument = instrument._replace(freedom=torch.full_like(stated, FREEDOM))
-    for _ in range(ROUNDS):
+    for done in range(ROUNDS):
         train, held_out = (part._replace(instrument=instrument) for part in (train, held_out))
         again = conclude(dynamics, train, held_out, steps, robust)
         if again is None:
@@ -72,7 +72,7 @@ def conclude_with_noise(
         instrument = instrument._replace(
             deviations=stated * noise.scales, colour=noise.colour, freedom=noise.freedom
         )
-        if alike(before, noise):
+        if alike(before, noise) and (done or not unknown.tails):  # the first tails were supposed
             break
     return found, None if found is None else written(found, noise, stated, unknown)
 
