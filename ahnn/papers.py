@@ -44,6 +44,7 @@ PAPERS: dict[str, tuple[str, ...]] = {
     # objective
     "shooting": ("golub1973",),
     "weak form": ("messenger2021", "bortz2023"),
+    "Student's noise": ("lange1989",),
     # optimiser, schedule, callbacks
     "AdamW": ("loshchilov2019",),
     "LevenbergMarquardt": ("marquardt1963",),
@@ -174,6 +175,8 @@ def _of_training(dynamics: Mapping[str, Any], config: Mapping[str, Any]) -> Iter
         yield "weak form"
     if any(isinstance(stage, int) or stage == "whole" for stage in stages):
         yield "shooting"
+    if loss.get("robust") == "student" or (config.get("data") or {}).get("tails"):
+        yield "Student's noise"
     if config.get("window", 1) > 1 and config and not stages and loss.get("derivative", 0.0) < 1:
         separable = dynamics.get("hamiltonian") == "separable"
         leaps = dynamics.get("integrator", {}).get("name") == "leapfrog"

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 SIMULATION = ("trajectories", "seed", "cache")
 """Keys of `data` for the number of simulated trajectories and their cache."""
 SENSOR = {"measured": None, "noise": None, "every": 1, "stride": 1, "gaps": 0, "outliers": 0}
-SENSOR |= {"bias_sd": None, "correlation": None}
+SENSOR |= {"bias_sd": None, "correlation": None, "tails": None, "freedom": None}
 """Keys of `data` for the sensor of training, with values without effect."""
 
 
@@ -77,7 +77,9 @@ def build_recorded(options: dict[str, Any], source: Recordings | Observed) -> Re
     Raises:
         UserError: positions without their noise, or options of simulated measurements only.
     """
-    kept = {name: options.pop(name) for name in ("measured", "noise", "stride", "bias_sd", "correlation")}
+    kept = {
+        name: options.pop(name) for name in ("measured", "noise", "stride", "bias_sd", "correlation", "tails")
+    }
     measured, noise = kept["measured"], kept["noise"]
     drawn = [f"data.{name}={value}" for name, value in options.items() if value not in (None, SENSOR[name])]
     if drawn or not (measured is None or isinstance(measured, str)):
@@ -100,7 +102,7 @@ def build_recorded(options: dict[str, Any], source: Recordings | Observed) -> Re
         raise UserError(message)
     kind = measured or ("position" if source.positions_only else "state")
     options = {**kept, "measured": kind}
-    check_arguments("data", Recorded, options, ("space", "every", "gaps", "outliers", "seed"))
+    check_arguments("data", Recorded, options, ("space", "every", "gaps", "outliers", "freedom", "seed"))
     return Recorded(source.space, **options)
 
 
@@ -117,7 +119,7 @@ def build_sighted(options: dict[str, Any], source: Observed) -> Recorded:
     biased = seen.bias_sd if any(seen.bias_sd) else None
     options |= {"measured": seen, "noise": options["noise"] or seen.deviations}
     options["bias_sd"] = biased if options["bias_sd"] is None else options["bias_sd"]
-    check_arguments("data", Recorded, options, ("space", "every", "gaps", "outliers", "seed"))
+    check_arguments("data", Recorded, options, ("space", "every", "gaps", "outliers", "freedom", "seed"))
     return Recorded(source.space, **options)
 
 

@@ -108,6 +108,7 @@ def unread_of_training(cfg: DictConfig, prepared: Prepared, *, several: bool) ->
         ("scheduler", automatic or not cfg.scheduler, "second-order steps have no learning rate"),
         ("data.bias_sd", staged or cfg.data.get("bias_sd") is None, measured),
         ("data.correlation", staged or cfg.data.get("correlation") is None, measured),
+        ("data.tails", staged or cfg.data.get("tails") is None, measured),
         ("data.noise", staged or cfg.data.get("noise") != "estimate", measured),
         ("optimizer.tolerance", not staged, "steps on measurements use the entire batch"),
         ("loss.order", derived, "with loss.derivative=0 no derivatives are formed"),

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 import torch
+from torch import Tensor
 
-from ahnn.arguments import Count, Seed, Within, checked
+from ahnn.arguments import Count, Positive, Seed, Within, checked
 from ahnn.errors import UserError
 from ahnn.measurements import (
     Biases,
@@ -46,6 +48,8 @@ class Sensor:
         bias_sd: standard deviations of constant biases, in the format of `Biases.of`. The biases are drawn
             from these and estimated in training. None: no biases.
         correlation: whether the training estimates how noise correlates in time.
+        tails: whether the training estimates scale and degrees of freedom of Student's noise.
+        freedom: degrees of freedom of the simulated noise, with `noise` as its scale; None for normal noise.
         seed: seed of all random draws.
 
     Raises:
@@ -67,6 +71,8 @@ class Sensor:
         outliers: Share = 0.0,
         bias_sd: float | list[float] | None = None,
         correlation: Literal["estimate"] | None = None,
+        tails: Literal["estimate"] | None = None,
+        freedom: Positive | None = None,
         seed: Seed = 0,
     ) -> None:
         self.space = space
@@ -94,7 +100,14 @@ class Sensor:
         self.deviations = noise_deviations(measured_by, stated, "data.noise", names)
         biases = Biases.of(measured_by, bias_sd, None, "data.")
         prior = None if biases is None else torch.tensor(biases.deviations, dtype=torch.float64)
-        self.unknown = UnknownNoise(sizes, correlation is not None, prior)
+        self.unknown = UnknownNoise(sizes, correlation is not None, prior, tails is not None)
+        if tails is not None and correlation is not None:
+            message = (
+                "data.tails: expected data.correlation=null with it; received data.correlation=estimate. "
+                "Leave one of them out"
+            )
+            raise UserError(message)
+        self.freedom = freedom
         self.every, self.stride, self.gaps, self.outliers, self.seed = every, stride, gaps, outliers, seed
 
     @property
@@ -115,7 +128,7 @@ class Sensor:
         values = observe(self.measurement, states, times)
         generator = torch.Generator().manual_seed((self.seed * 1_000_003 + part) % 2**63)
         draw: dict[str, Any] = {"generator": generator, "dtype": torch.float64}
-        values = values + torch.randn(values.shape, **draw) * self.deviations
+        values = values + torch.randn(values.shape, **draw) * self.deviations * self._stretch(values, part)
         if self.unknown.bias_sd is not None:
             own = torch.Generator().manual_seed(self.seed)  # one bias for all parts
             shape = self.unknown.bias_sd.shape
@@ -125,3 +138,10 @@ class Sensor:
         values = torch.where(off, values + OUTLIER * sign * self.deviations, values)
         missing = torch.rand(values.shape[:2], **draw) < self.gaps
         return Observations(values.masked_fill(missing.unsqueeze(-1), torch.nan), times)
+
+    def _stretch(self, values: Tensor, part: int) -> Tensor | float:
+        """Return the factors that make Student's noise of normal noise, of the shape of the values."""
+        if self.freedom is None:
+            return 1.0
+        draw = np.random.default_rng((self.seed, part))
+        return torch.from_numpy((self.freedom / draw.chisquare(self.freedom, tuple(values.shape))) ** 0.5)

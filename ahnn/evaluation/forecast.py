@@ -15,12 +15,14 @@ from torch import Tensor
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.evaluation.bands import NORMAL, SIGMAS, percent
 from ahnn.evaluation.goodness_of_fit import OUTLYING, fit_to, trial_of, without_outliers
+from ahnn.evaluation.independent_directions import TOO_FEW
 from ahnn.measurements import Segment
+from ahnn.measurements.student_noise import normal_scores
 from ahnn.numbers import in_percent
 from ahnn.shooting.initial_states import FOLLOWING, LOST, SURE, linearised, refine
 from ahnn.shooting.path_sensitivities import path, steps_between
 from ahnn.shooting.quadrature import coarse
-from ahnn.shooting.robust import RobustName
+from ahnn.shooting.robust import RobustName, informative, loss_of
 from ahnn.types import Trajectories
 from ahnn.uncertainty import forecast_columns
 
@@ -78,7 +80,8 @@ class Forecast(NamedTuple):
 
     def numbers(self) -> dict[str, Any]:
         """Return plain values for metrics.json."""
-        return {"sigmas": list(SIGMAS), "of_normal_errors": list(NORMAL), **self._asdict()}
+        told = "" if self.states is None else judged(self.states, self.right)
+        return {"sigmas": list(SIGMAS), "of_normal_errors": list(NORMAL), **self._asdict(), "verdict": told}
 
 
 @torch.no_grad()
@@ -106,25 +109,30 @@ def forecast(
     if not bool(met.any()):
         return None
     starts, early, first, part = fitted.starts[met], early[met], first.rows(met), segment.rows(met)
+    freedom, told = part.instrument.freedom, informative(part.instrument.freedom)
     steps = steps_between(part.times, part.instrument.longest)
     states = path(dynamics.increment, starts, steps.lengths)
     if coarse(cast(HasField, dynamics).field, states, steps.lengths):
         steps = steps.quarters()
         along = steps.first(first.times.shape[1] - 1)
-        starts = refine(trial_of(dynamics), starts, first, along, FOLLOWING, SURE).starts
+        again = trial_of(dynamics, loss_of("none", freedom))
+        starts = refine(again, starts, first, along, FOLLOWING, SURE).starts
         states = path(dynamics.increment, starts, steps.lengths)
-    here = linearised(trial_of(dynamics), states, part, steps)
+    here = linearised(trial_of(dynamics, told), states, part, steps)
     later = ~early.unsqueeze(-1)
     there = later.expand_as(states[:, steps.ends])
     true = None if truth is None else at(truth, met, part.times)
     there = there if true is None else there & true.isfinite()
     causes = forecast_columns(dynamics, states, steps, here, early, spread, part.whitening)
-    variances = Variances.of(causes, here.of_state, there, spread.shape[1])
+    of_state = here.of_state / told.weight(torch.ones_like(part.values)).sqrt().unsqueeze(-1)
+    variances = Variances.of(causes, of_state, there, spread.shape[1])
     standard = variances.states.sqrt()
     off_true = None if true is None else (states[:, steps.ends] - true) / standard
     ahead, total = later & ~part.values.isnan(), 1 + variances.values
-    off, width = (part.residuals(states[:, steps.ends]) / total.sqrt())[ahead], total[ahead]
-    counted = torch.ones_like(off, dtype=torch.bool) if robust == "none" else ~(off.abs() > OUTLYING)
+    rows, width = part.residuals(states[:, steps.ends]), total[ahead]
+    off = rows / total.sqrt() if freedom is None else normal_scores(rows, freedom, variances.values)
+    off, cut = off[ahead], robust != "none" and freedom is None
+    counted = ~(off.abs() > OUTLYING) if cut else torch.ones_like(off, dtype=torch.bool)
     return Forecast(
         coverage=shares(off[counted]),
         width=float(width[counted].nanmean().sqrt()),
@@ -205,13 +213,20 @@ def middle(shares: Tensor) -> tuple[tuple[float, float], ...]:
 
 
 def right_bands(shares: tuple[float, ...], right: tuple[tuple[float, float], ...]) -> str:
-    """Format the coverage of calibrated bands and the verdict; none if bands of half the width would pass."""
-    if right[1][0] <= NORMAL[0]:
-        return "too few independent directions to tell"
+    """Format the coverage of calibrated bands and the conclusion; without one, no coverage."""
+    verdict = judged(shares, right)
+    if verdict == TOO_FEW:
+        return verdict
     ends = ", ".join(f"{100 * low:.3g} to {100 * high:.3g}" for low, high in right)
-    low, high = right[1]
-    verdict = "too narrow" if shares[1] < low else "too wide" if shares[1] > high else "right"
     return f"calibrated bands {ends} % in 19 of 20 draws: {verdict}"
+
+
+def judged(shares: tuple[float, ...], right: tuple[tuple[float, float], ...]) -> str:
+    """Return a verdict on the coverage within 2 sigma; where half the width would do, none follows."""
+    low, high = right[1]
+    if low <= NORMAL[0]:
+        return TOO_FEW
+    return "too narrow" if shares[1] < low else "too wide" if shares[1] > high else "right"
 
 
 def first_halves(segment: Segment) -> Tensor:
@@ -224,7 +239,7 @@ def part_fitted(dynamics: Dynamics, segment: Segment, early: Tensor, robust: Rob
     """Return early measurements, (B, K + 1), up to the last of these times, without outliers."""
     last = max(int(early.any(0).sum()) - 1, 1)
     part = segment._replace(values=segment.values.masked_fill(~early.unsqueeze(-1), torch.nan)).first(last)
-    return part if robust == "none" else without_outliers(dynamics, part, robust)
+    return without_outliers(dynamics, part, robust)
 
 
 def at(truth: Trajectories, rows: Tensor, times: Tensor) -> Tensor:

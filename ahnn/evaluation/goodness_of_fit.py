@@ -17,7 +17,7 @@ from ahnn.measurements.smoothing import guess
 from ahnn.numbers import in_percent
 from ahnn.shooting.initial_states import FOLLOWING, LOST, SURE, Fitted, Trial, fit_starts, refine
 from ahnn.shooting.path_sensitivities import Steps, steps_between
-from ahnn.shooting.robust import ROBUST, RobustName
+from ahnn.shooting.robust import ROBUST, Robust, RobustName, loss_of
 
 NORMAL95 = 1.959963984540054
 """Standard deviations of the central 95 % of a normal distribution."""
@@ -79,12 +79,12 @@ class Explained(NamedTuple):
         return {**self._asdict(), "band": list(self.band), "consistent": self.consistent}
 
 
-def trial_of(dynamics: nn.Module, robust: RobustName = "none") -> Trial:
+def trial_of(dynamics: nn.Module, robust: Robust = ROBUST["none"]) -> Trial:
     """Return float64 dynamics with a method `increment`, for comparison with measurements."""
     increment = cast(Any, dynamics).increment
     known = isinstance(dynamics, Dynamics)
     jacobians = own_jacobians(dynamics) if known else partial(step_jacobians, increment)
-    return Trial(increment, jacobians, ROBUST[robust])
+    return Trial(increment, jacobians, robust)
 
 
 @torch.no_grad()
@@ -94,15 +94,18 @@ def fit_to(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") -
     Args:
         dynamics: float64 dynamics with a method `increment`.
         segment: measurements not used in training.
-        robust: robust loss of residuals.
+        robust: robust loss of residuals; Student's noise has its own.
     """
     steps = steps_between(segment.times, segment.instrument.longest)
-    return fit_starts(trial_of(dynamics, robust), guess(segment), segment, steps), steps
+    trial = trial_of(dynamics, loss_of(robust, segment.instrument.freedom))
+    return fit_starts(trial, guess(segment), segment, steps), steps
 
 
 @torch.no_grad()
 def without_outliers(dynamics: nn.Module, segment: Segment, robust: RobustName) -> Segment:
-    """Return measurements without those far from a robustly fitted path."""
+    """Return measurements without those far from a robustly fitted path; Student's noise has no outliers."""
+    if robust == "none" or segment.instrument.freedom is not None:
+        return segment
     fitted, steps = fit_to(dynamics, segment, robust)
     far = segment.residuals(fitted.states[:, steps.ends]).abs() > OUTLYING
     return segment._replace(values=segment.values.masked_fill(far, torch.nan))
@@ -118,19 +121,19 @@ def explain(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") 
         robust: robust loss of the training, with which outliers are excluded here.
     """
     measured = int(segment.measured.sum())
-    if robust != "none":
-        segment = without_outliers(dynamics, segment, robust)
+    segment = without_outliers(dynamics, segment, robust)
     fitted, steps = fit_to(dynamics, segment)
     degrees = segment.measured - 2 * segment.instrument.dof
     met = (degrees > 0) & (fitted.sums <= LOST * segment.measured)
     total = float(degrees[met].sum())
-    chi = float(fitted.sums[met].sum()) / total if total else float("nan")
     part, halved = segment.rows(met), None
+    residuals = part.scores(fitted.states[met][:, steps.ends])
+    chi = float(residuals.square().sum()) / total if total else float("nan")
     if total and has_field(dynamics):
-        near, steps_of_half = fitted.starts[met], steps.rows(met).halved()
-        again = refine(trial_of(dynamics), near, part, steps_of_half, FOLLOWING, SURE)
-        halved = float(again.sums.sum()) / total
-    residuals = part.white_residuals(fitted.states[met][:, steps.ends])
+        near, half = fitted.starts[met], steps.rows(met).halved()
+        trial = trial_of(dynamics, loss_of("none", part.instrument.freedom))
+        again = refine(trial, near, part, half, FOLLOWING, SURE)
+        halved = float(part.scores(again.states[:, half.ends]).square().sum()) / total
     correlation, pairs = serial(residuals.masked_fill(part.values.isnan(), torch.nan))
     # Residuals of a fit have a correlation of about minus the fraction of values spent on unknowns.
     spent = 1 - total / float(part.measured.sum()) if total else 0.0

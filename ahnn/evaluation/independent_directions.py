@@ -3,6 +3,10 @@
 With W the sensitivities of all states, in their standard deviations, to independent causes of variance 1,
 calibrated bands mean errors W eta with eta ~ N(0, I). Along an eigenvector v of W^T W with the eigenvalue s^2
 the errors e are z = v^T W^T e / s^2 ~ N(0, 1), independently: the sum of z^2 over k directions is chi-square.
+
+The rms error divided by the bound weights directions by their variance: with W in units of the state it is
+(sum s^2 z^2 / sum s^2)^1/2. Where few directions have most of the variance it scatters widely, and it is
+below 1 in more than half of the training runs at the bound.
 """
 
 from __future__ import annotations
@@ -19,8 +23,16 @@ VARIANCE = 0.99
 """Fraction of the variance of the bands due to these directions; the rest hardly affects the bands."""
 MIDDLE = 0.95
 """Fraction of training runs with calibrated bands that lie within the interval."""
+TOO_FEW = "too few independent directions to tell"
+"""Verdict where calibrated bands have so wide an interval that it is no test."""
+LEAST = 1e-4
+"""Maximum fraction of the variance that the ratio of error and bound omits."""
 HALF = 0.5
 """An interval that admits bands of half or twice the correct width is no test."""
+
+
+DRAWS = 20_000
+"""Draws of independent directions for the ratio of error and bound."""
 
 
 class DirectionTest(NamedTuple):
@@ -47,14 +59,14 @@ class DirectionTest(NamedTuple):
         if self.scatter > high:
             return "too narrow"
         if low < HALF:
-            return "too few independent directions to tell"
+            return TOO_FEW
         return "too wide" if self.scatter < low else "right"
 
     def sentence(self) -> str:
         """Return the finding in words."""
         low, high = self.right
         found = f"errors along {self.directions} independent directions are {self.scatter:.2f} deviations"
-        if self.verdict.startswith("too few"):
+        if self.verdict == TOO_FEW:
             return f"{found}: {self.verdict}"
         return (
             f"{found}, with calibrated bands {low:.2f} to {high:.2f} in 19 of 20 training runs: "
@@ -76,6 +88,24 @@ def direction_test(parts: Iterable[tuple[Tensor, Tensor]]) -> DirectionTest:
         matrix = matrix + (rows.mT @ rows).double()
         pull = pull + (rows.mT @ (errors[seen] / sd[seen].squeeze(-1)).to(rows)).double()
     return scatter_of(matrix, pull)
+
+
+def ratio_interval(matrix: Tensor) -> tuple[float, float]:
+    """Return the middle 95 % of rms error over bound in trainings at the bound, from W^T W, shape (R, R)."""
+    ends = torch.tensor([(1 - MIDDLE) / 2, (1 + MIDDLE) / 2], dtype=torch.float64)
+    low, high = torch.quantile(ratio_draws(matrix), ends).tolist()
+    return low, high
+
+
+def ratio_draws(matrix: Tensor) -> Tensor:
+    """Return `DRAWS` ratios of rms error and bound at the bound, from W^T W, shape (R, R)."""
+    sizes = torch.linalg.eigvalsh(matrix.double()).clamp(min=0)
+    parts = sizes / sizes.sum()
+    squares = torch.zeros(DRAWS, dtype=torch.float64)
+    generator = torch.Generator().manual_seed(0)
+    for part in parts[parts > LEAST / len(parts)]:
+        squares += part * torch.randn(DRAWS, generator=generator, dtype=torch.float64).square()
+    return squares.sqrt()
 
 
 def together(tests: Sequence[DirectionTest]) -> DirectionTest:

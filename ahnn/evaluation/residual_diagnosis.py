@@ -41,7 +41,7 @@ def remedy(dynamics: nn.Module, segment: Segment, robust: RobustName) -> str:
         return ""
     fitted, steps = fit_to(dynamics, segment, "student")
     states = fitted.states[:, steps.ends]
-    left = segment.white_residuals(states).masked_fill(segment.values.isnan(), torch.nan)
+    left = segment.scores(states).masked_fill(segment.values.isnan(), torch.nan)
     unknowns = 2 * segment.instrument.dof
     all_of_it = residual_tests(left, states, segment.times, unknowns)
     far = left.abs() > OUTLYING * all_of_it.scale.clamp(min=1)
@@ -88,7 +88,10 @@ def verdicts(found: ResidualTests, names: tuple[str, ...], interval: float, robu
     said += _biases(found, names, coloured)
     if robust == "none" and float(found.tails.max()) > FEW and bool((found.tails * pairs > 2).any()):
         outliers = in_percent(float(found.tails.max()))
-        said.append(f"{outliers} of the values are outliers, which loss.robust=student downweights")
+        said.append(
+            f"{outliers} of the values are outliers, which loss.robust=student downweights and "
+            "data.tails=estimate models"
+        )
     return said
 
 

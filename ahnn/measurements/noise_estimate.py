@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple
 
 import torch
@@ -24,17 +24,19 @@ class UnknownNoise(NamedTuple):
     Attributes:
         sizes: whether to estimate standard deviations.
         correlation: whether to estimate a coloured part.
+        tails: whether to estimate the scale and degrees of freedom of Student's noise.
         bias_sd: (M,) standard deviations of constant biases, 0 where there is none; None: no biases.
     """
 
     sizes: bool = False
     correlation: bool = False
     bias_sd: Tensor | None = None
+    tails: bool = False
 
     @property
     def anything(self) -> bool:
         """Whether anything is unknown."""
-        return self.sizes or self.correlation or self.bias_sd is not None
+        return self.sizes or self.correlation or self.tails or self.bias_sd is not None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +51,10 @@ class NoiseEstimate:
         bias: offset of readings from the truth; empty if not estimated.
         bias_sd: standard deviations of these.
         prior_sd: prior standard deviations of biases, 0 without bias.
+        freedom: degrees of freedom of Student's noise, whose scales are the deviations; 0 where they cannot
+            be distinguished from normal noise; empty if not estimated.
+        freedom_low, freedom_high: ends of their 95 % interval; 0 if the upper end is unbounded.
+        scale_sd: standard deviations of the scales.
     """
 
     deviations: list[Positive]
@@ -58,6 +64,10 @@ class NoiseEstimate:
     bias: list[Finite]
     bias_sd: list[NonNegative]
     prior_sd: list[NonNegative]
+    freedom: list[NonNegative] = field(default_factory=list)
+    freedom_low: list[NonNegative] = field(default_factory=list)
+    freedom_high: list[NonNegative] = field(default_factory=list)
+    scale_sd: list[NonNegative] = field(default_factory=list)
 
     def applied(self, instrument: Instrument, unknown: UnknownNoise) -> Instrument:
         """Return the instrument with its noise completed by the estimates.
@@ -75,10 +85,11 @@ class NoiseEstimate:
         )
         coloured = unknown.correlation and bool((fractions > 0).any())
         return instrument._replace(
-            deviations=deviations if unknown.sizes else instrument.deviations,
+            deviations=deviations if unknown.sizes or unknown.tails else instrument.deviations,
             colour=Colour(fractions, memories) if coloured else None,
             bias=bias if unknown.bias_sd is not None and len(bias) else None,
             bias_sd=None,
+            freedom=freedom_of(self.freedom) if unknown.tails else None,
         )
 
     def about(self) -> dict[str, Any]:
@@ -88,7 +99,10 @@ class NoiseEstimate:
     def sentences(self, names: tuple[str, ...], units: tuple[str, ...]) -> list[str]:
         """Describe the estimates for numbers with given names and units."""
         said = list[str]()
-        if self.stated:
+        if self.freedom:
+            each = enumerate(zip(names, units, strict=True))
+            said += [self._tails(k, name, unit) for k, (name, unit) in each]
+        elif self.stated:
             each = [
                 f"{name} {found:.3g} {unit} ({found / stated:.2g} times the initial value)"
                 for name, unit, found, stated in zip(names, units, self.deviations, self.stated, strict=True)
@@ -99,6 +113,23 @@ class NoiseEstimate:
         if self.bias:
             said += self._biases(names, units)
         return said
+
+    def _tails(self, k: int, name: str, unit: str) -> str:
+        scale = f"{self.deviations[k]:.3g} ± {self.scale_sd[k]:.2g} {unit}"
+        if not self.freedom[k]:
+            return (
+                f"tails of the noise of {name} are not told apart from those of normal noise (more than "
+                f"{self.freedom_low[k]:.2g} degrees of freedom, with 95 %); its standard deviation is {scale}"
+            )
+        nu, low, high = (values[k] for values in (self.freedom, self.freedom_low, self.freedom_high))
+        said = (
+            f"the noise of {name} is Student's with {nu:.2g} degrees of freedom ({low:.2g} to {high:.2g} in "
+            f"95 %) and the scale {scale}"
+        )
+        if nu <= 2:
+            return f"{said}: it has no standard deviation, and filters need a gate"
+        deviation = self.deviations[k] * math.sqrt(nu / (nu - 2))
+        return f"{said}; its standard deviation, for filters, is {deviation:.3g} {unit}"
 
     def _colour(self, names: tuple[str, ...]) -> str:
         found = [*zip(names, self.deviations, self.fractions, self.memories, strict=True)]
@@ -137,3 +168,9 @@ class NoiseEstimate:
                 "functions shift with it, and bands include its given standard deviation"
             )
         return said
+
+
+def freedom_of(values: list[float]) -> Tensor | None:
+    """Return degrees of freedom (M,), inf where they are 0; None if the noise is normal in all numbers."""
+    found = torch.tensor([value or math.inf for value in values], dtype=torch.float64)
+    return None if bool(found.isinf().all()) else found

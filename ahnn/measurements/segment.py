@@ -10,6 +10,7 @@ from torch import Tensor
 from ahnn.measurements.angles import residual
 from ahnn.measurements.base import Measurement
 from ahnn.measurements.coloured_noise import Colour, Whitening
+from ahnn.measurements.student_noise import normal_scores
 
 
 class Instrument(NamedTuple):
@@ -25,6 +26,8 @@ class Instrument(NamedTuple):
         bias: (M,) offset of readings from the truth; None for zeros.
         bias_sd: (M,) standard deviations of the offset, 0 if known; None for zeros.
         colour: correlation of the noise; None for white noise.
+        freedom: (M,) degrees of freedom of Student's noise, whose scales are the deviations, inf where it is
+            normal; None if all is normal.
     """
 
     measurement: Measurement
@@ -36,6 +39,7 @@ class Instrument(NamedTuple):
     bias: Tensor | None = None
     bias_sd: Tensor | None = None
     colour: Colour | None = None
+    freedom: Tensor | None = None
 
 
 class Segment(NamedTuple):
@@ -88,3 +92,8 @@ class Segment(NamedTuple):
         """Return `residuals` whose noise is white, (B, K + 1, M)."""
         whitening, rows = self.whitening, self.residuals(states)
         return rows if whitening is None else whitening(rows)
+
+    def scores(self, states: Tensor) -> Tensor:
+        """Return white residuals that are normal where the noise is as stated, (B, K + 1, M)."""
+        rows, freedom = self.white_residuals(states), self.instrument.freedom
+        return rows if freedom is None else normal_scores(rows, freedom)

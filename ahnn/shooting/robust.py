@@ -18,6 +18,8 @@ HUBER = 1.345
 """Residual from which Huber's loss is linear; efficiency 95 % on normal noise (Huber 1981)."""
 FREEDOM = 4.0
 """Degrees of freedom of Student's distribution (Lange, Little & Taylor 1989)."""
+NORMAL_FREEDOM = 1e12
+"""Degrees of freedom in place of infinitely many: the loss is that of squares to all digits."""
 
 
 class Robust(NamedTuple):
@@ -41,18 +43,49 @@ def _huber(e: Tensor) -> Tensor:
     return torch.where(size <= HUBER, e * e, 2 * HUBER * size - HUBER**2)
 
 
+def student(freedom: float | Tensor) -> Robust:
+    """Return the loss of Student's distribution: minus twice its logarithm, but for a constant.
+
+    Args:
+        freedom: degrees of freedom, common or one for each of M numbers, (M,); inf is normal noise.
+    """
+    nu = torch.as_tensor(freedom, dtype=torch.float64).clamp(max=NORMAL_FREEDOM)
+    return Robust(
+        lambda e: (nu + 1) * torch.log1p(e * e / nu),
+        lambda e: (nu + 1) / (nu + e * e),
+        lambda e: (nu + 1) * (nu - e * e) / (nu + e * e) ** 2,
+        approach="huber",
+    )
+
+
 ROBUST: dict[str, Robust] = {
     "none": Robust(torch.square, torch.ones_like, torch.ones_like),
     "huber": Robust(
         _huber, lambda e: HUBER / e.abs().clamp(min=HUBER), lambda e: (e.abs() <= HUBER).to(e.dtype)
     ),
-    "student": Robust(
-        lambda e: (FREEDOM + 1) * torch.log1p(e * e / FREEDOM),
-        lambda e: (FREEDOM + 1) / (FREEDOM + e * e),
-        lambda e: (FREEDOM + 1) * (FREEDOM - e * e) / (FREEDOM + e * e) ** 2,
-        approach="huber",
-    ),
+    "student": student(FREEDOM),
 }
+
+
+def loss_of(name: RobustName, freedom: Tensor | None) -> Robust:
+    """Return the likelihood of Student's noise with degrees of freedom (M,), or the named loss without."""
+    return ROBUST[name] if freedom is None else student(freedom)
+
+
+def informative(freedom: Tensor | None) -> Robust:
+    """Return squares weighted by the information of a residual with Student's noise, (nu + 1) / (nu + 3).
+
+    Of normal noise it is 1. A start fitted by `loss_of` has the covariance that these squares have.
+    """
+    if freedom is None:
+        return ROBUST["none"]
+    weight = information(freedom)
+    return Robust(lambda e: weight * e * e, lambda e: weight.expand_as(e), lambda e: weight.expand_as(e))
+
+
+def information(freedom: Tensor) -> Tensor:
+    """Return Fisher's information of a residual about its mean, in squared scales, (M,)."""
+    return torch.where(freedom.isinf(), 1.0, (freedom + 1) / (freedom + 3))
 
 
 def variance(robust: Robust, e: Tensor) -> float:
@@ -64,9 +97,9 @@ def variance(robust: Robust, e: Tensor) -> float:
 
     Args:
         robust: robust loss rho.
-        e: residuals in standard deviations; 0 for missing ones.
+        e: residuals in standard deviations, (..., M); 0 for missing ones.
     """
-    e = e[e != 0]
-    weight = robust.weight(e)
-    spread = (weight * e).square().mean() * weight.mean() / robust.slope(e).mean().square()
-    return float(spread / robust.cost(e).mean())
+    there = e != 0
+    weight, slope, cost = (part(e)[there] for part in (robust.weight, robust.slope, robust.cost))
+    spread = (weight * e[there]).square().mean() * weight.mean() / slope.mean().square()
+    return float(spread / cost.mean())

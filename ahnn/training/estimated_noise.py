@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 
 import torch
 from torch import Tensor
@@ -13,10 +14,11 @@ from ahnn.dynamics.variations import own_jacobians
 from ahnn.measurements import Segment
 from ahnn.measurements.noise_estimate import NoiseEstimate, UnknownNoise
 from ahnn.shooting.initial_states import Trial, linearised
-from ahnn.shooting.robust import ROBUST, RobustName
+from ahnn.shooting.robust import FREEDOM, ROBUST, RobustName, loss_of
 from ahnn.training.laplace import conclude
 from ahnn.training.maximum_posterior import whole_problem
 from ahnn.training.noise_likelihood import FoundNoise, Residuals, most_likely
+from ahnn.training.student_likelihood import FoundTails, most_likely_tails, without_fit
 from ahnn.uncertainty import Uncertainty
 
 log = logging.getLogger("ahnn")
@@ -49,21 +51,28 @@ def conclude_with_noise(
     begin = noise = FoundNoise(torch.ones_like(stated), None)
     found: Uncertainty | None = None
     instrument = train.instrument._replace(bias_sd=unknown.bias_sd)
-    for _ in range(ROUNDS):
+    if unknown.tails:  # a first fit that outliers do not spoil
+        instrument = instrument._replace(freedom=torch.full_like(stated, FREEDOM))
+    for done in range(ROUNDS):
         train, held_out = (part._replace(instrument=instrument) for part in (train, held_out))
         again = conclude(dynamics, train, held_out, steps, robust)
         if again is None:
             break
         found, before, noise = again, noise, begin
         instrument = instrument._replace(bias=biases_of(found))
-        if unknown.sizes or unknown.correlation:
+        if unknown.tails:
+            train = train._replace(instrument=instrument)
+            noise = heavy_tailed(found.taken(dynamics)[0], train, robust, found.about["determined"], stated)
+        elif unknown.sizes or unknown.correlation:
             train = train._replace(instrument=instrument._replace(deviations=stated, colour=None))
             noise = estimated(found.taken(dynamics)[0], train, robust, found.about["determined"], unknown)
-            if not is_noise(noise, found.about["chi_square"]):
-                noise = begin
-                break
-            instrument = instrument._replace(deviations=stated * noise.scales, colour=noise.colour)
-        if alike(before, noise):
+        if noise is not begin and not is_noise(noise, found.about["chi_square"]):
+            noise = begin
+            break
+        instrument = instrument._replace(
+            deviations=stated * noise.scales, colour=noise.colour, freedom=noise.freedom
+        )
+        if alike(before, noise) and (done or not unknown.tails):  # the first tails were supposed
             break
     return found, None if found is None else written(found, noise, stated, unknown)
 
@@ -116,10 +125,41 @@ def estimated(
     return noise
 
 
+def heavy_tailed(
+    dynamics: Dynamics, train: Segment, robust: RobustName, determined: float, stated: Tensor
+) -> FoundNoise:
+    """Return the most likely Student's noise of residuals about paths of learned dynamics.
+
+    Args:
+        dynamics: float64 dynamics fitted to all measurements.
+        train: with the noise of the fit.
+        robust: the loss of the fit where its noise is normal.
+        determined: number of parameters that the measurements determine.
+        stated: stated standard deviations, (M,).
+    """
+    some = train.rows(slice(None, None, -(-len(train.times) // PATHS)))
+    freedom = train.instrument.freedom
+    problem = whole_problem(dynamics, some, loss_of(robust, freedom))
+    segment, states = problem.batch, problem.fitted.states[problem.kept]
+    trial = Trial(dynamics.increment, own_jacobians(dynamics), problem.robust)
+    of_start = linearised(trial, states, segment, problem.steps).of_start
+    left = without_fit(segment.residuals(states[:, problem.steps.ends]), of_start, freedom)
+    count = float(train.measured.sum()) - 2 * train.instrument.dof * len(train.times)
+    left = left * train.instrument.deviations / stated * (count / max(count - determined, 1.0)) ** 0.5
+    there = ~segment.values.isnan()
+    tails = tuple(most_likely_tails(left[..., k][there[..., k]]) for k in range(left.shape[-1]))
+    return FoundNoise(torch.tensor([one.scale for one in tails]).to(stated), None, tails)
+
+
 def alike(one: FoundNoise, other: FoundNoise) -> bool:
     """Return whether two estimates of noise lead to the same fit."""
-    flat = [torch.cat((noise.scales.log(), *_parts(noise))) for noise in (one, other)]
+    flat = [torch.cat((noise.scales.log(), _rates(noise), *_parts(noise))) for noise in (one, other)]
     return float((flat[0] - flat[1]).abs().max()) < SETTLED
+
+
+def _rates(noise: FoundNoise) -> Tensor:
+    """Return one over the degrees of freedom, (M,)."""
+    return torch.zeros_like(noise.scales) if noise.freedom is None else 1 / noise.freedom
 
 
 def _parts(noise: FoundNoise) -> tuple[Tensor, Tensor]:
@@ -139,10 +179,24 @@ def written(found: Uncertainty, noise: FoundNoise, stated: Tensor, unknown: Unkn
     prior, about = unknown.bias_sd, found.about
     return NoiseEstimate(
         deviations=(stated * noise.scales).tolist(),
-        stated=stated.tolist() if unknown.sizes else [],
+        stated=stated.tolist() if unknown.sizes or unknown.tails else [],
         fractions=fractions if unknown.correlation else [],
         memories=memories if unknown.correlation else [],
         bias=about["bias"] if prior is not None else [],
         bias_sd=about["bias_sd"] if prior is not None else [],
         prior_sd=[] if prior is None else prior.tolist(),
+        **of_tails(noise.tails, stated),
     )
+
+
+def of_tails(tails: tuple[FoundTails, ...] | None, stated: Tensor) -> dict[str, list[float]]:
+    """Return the fields of `NoiseEstimate` on tails; 0 where a degree of freedom or its end is infinite."""
+    if tails is None:
+        return {}
+    finite = lambda value: value if math.isfinite(value) else 0.0  # noqa: E731
+    return {
+        "freedom": [finite(tail.freedom) for tail in tails],
+        "freedom_low": [tail.low for tail in tails],
+        "freedom_high": [finite(tail.high) for tail in tails],
+        "scale_sd": [finite(tail.scale_sd * float(sd)) for tail, sd in zip(tails, stated, strict=True)],
+    }

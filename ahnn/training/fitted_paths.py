@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ahnn.dynamics import Dynamics
 from ahnn.measurements import Segment
-from ahnn.shooting.robust import ROBUST, RobustName
+from ahnn.shooting.robust import RobustName, loss_of
 from ahnn.training.maximum_posterior import whole_problem
 
 PATHS, STATES = 150, 50_000
@@ -28,7 +28,7 @@ def fitted_states(dynamics: Dynamics, train: Segment, robust: RobustName) -> Ten
         robust: robust loss of residuals.
     """
     some = train.rows(slice(None, None, -(-len(train.times) // PATHS)))
-    problem = whole_problem(dynamics, some, ROBUST[robust])
+    problem = whole_problem(dynamics, some, loss_of(robust, train.instrument.freedom))
     states, seen = problem.fitted.states[problem.kept], ~problem.batch.values.isnan().all(-1)
     last = (seen * problem.steps.ends).amax(1, keepdim=True)
     there = torch.arange(states.shape[1]) <= last

@@ -25,7 +25,7 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from ahnn.dynamics import Dynamics
 from ahnn.measurements import Segment
-from ahnn.shooting.robust import ROBUST, RobustName, variance
+from ahnn.shooting.robust import RobustName, loss_of, variance
 from ahnn.training.acceleration import accelerated
 from ahnn.training.evidence import by_evidence, log_evidence
 from ahnn.training.functions import ARRIVED, whole_step
@@ -75,11 +75,12 @@ def conclude(
 def _concluded(
     dynamics: Dynamics, train: Segment, held_out: Segment, steps: int, robust: RobustName
 ) -> Uncertainty | None:
-    choose_lengths(dynamics, train, ROBUST[robust])
+    loss = loss_of(robust, train.instrument.freedom)
+    choose_lengths(dynamics, train, loss)
     problem, here, gained = approached(dynamics, train, steps, robust)
     if here is None:
         return None
-    unseen = whole_problem(dynamics, held_out, ROBUST[robust])
+    unseen = whole_problem(dynamics, held_out, loss)
     others = unseen.equations(here.theta, [p.numel() for p in dynamics.parameters()])
     names = [name for name, _ in dynamics.named_parameters()]
     noise = Noise.of(problem, here.theta)
@@ -111,7 +112,7 @@ def approached(
     """Take parameter steps; return the final problem and point, and the last decrease."""
     parameters = list(dynamics.parameters())
     sizes = [p.numel() for p in parameters]
-    problem = whole_problem(dynamics, train, ROBUST[robust])
+    problem = whole_problem(dynamics, train, loss_of(robust, train.instrument.freedom))
     here = place(problem, parameters_to_vector(parameters), sizes)
     damping, gained = DAMPING, float("inf")
     for _ in range(steps):
@@ -123,7 +124,7 @@ def approached(
         gained = decrease
         vector_to_parameters(theta, parameters)
         if problem.lost:  # segments that failed to converge before may converge now
-            problem = whole_problem(dynamics, train, ROBUST[robust])
+            problem = whole_problem(dynamics, train, problem.robust)
         else:
             problem.follow(theta)
         here = place(problem, theta, sizes)

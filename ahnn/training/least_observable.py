@@ -8,7 +8,7 @@ from torch import Tensor
 from ahnn.dynamics import Dynamics
 from ahnn.measurements import Segment
 from ahnn.shooting.initial_states import LOST
-from ahnn.shooting.robust import ROBUST, RobustName
+from ahnn.shooting.robust import RobustName, loss_of
 from ahnn.training.shooting import ShootingProblem
 from ahnn.uncertainty.directions import ARCS, MOST, Watched, filtered_directions
 
@@ -35,7 +35,8 @@ def least_told(
         None if they fit none of these trajectories.
     """
     some = train.first(INTERVALS).rows(slice(None, None, max(1, len(train.times) // ARCS)))
-    met = ShootingProblem(dynamics if learned is None else learned, some, ROBUST[robust], LOST)
+    loss = loss_of(robust, train.instrument.freedom)
+    met = ShootingProblem(dynamics if learned is None else learned, some, loss, LOST)
     if not len(met.starts):
         return None
     sizes = met.fitted.states[met.kept].unflatten(-1, (2, -1)).square().nanmean((0, 1, 3)).sqrt()

@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from ahnn.measurements.coloured_noise import Colour, Whitening
+from ahnn.training.student_likelihood import FoundTails
 
 TELLING = 12.0
 """Twice the gain in log likelihood above which noise is coloured; it occurs by chance in 0.25 % of cases."""
@@ -56,10 +57,18 @@ class FoundNoise(NamedTuple):
     Attributes:
         scales: standard deviations, relative to the stated ones, (M,).
         colour: coloured part; None for white noise.
+        tails: Student's noise of each number; None if not estimated.
     """
 
     scales: Tensor
     colour: Colour | None
+    tails: tuple[FoundTails, ...] | None = None
+
+    @property
+    def freedom(self) -> Tensor | None:
+        """Degrees of freedom (M,), inf where the noise is normal; None if it is in all numbers."""
+        found = torch.tensor([tail.freedom for tail in self.tails or ()], dtype=torch.float64)
+        return None if bool(found.isinf().all()) else found
 
 
 def restricted(left: Residuals, scales: Tensor, colour: Colour | None) -> Tensor:
@@ -105,7 +114,7 @@ def most_likely(left: Residuals, *, sizes: bool, correlation: bool) -> FoundNois
         def value(found: np.ndarray) -> tuple[float, np.ndarray]:
             at = torch.tensor(found, requires_grad=True)
             with torch.enable_grad():
-                cost = restricted(left, *noise(at, coloured))
+                cost = restricted(left, *noise(at, coloured)[:2])
                 (slope,) = torch.autograd.grad(cost, at)
             return float(cost.detach()), slope.numpy()
 

@@ -40,7 +40,7 @@ from ahnn.shooting.initial_states import (
 )
 from ahnn.shooting.normal_points import normal_points
 from ahnn.shooting.path_sensitivities import Steps, adjoints, path, sensitivities, steps_between
-from ahnn.shooting.robust import ROBUST, Robust, RobustName
+from ahnn.shooting.robust import Robust, RobustName, loss_of
 from ahnn.training.limited_segments import Limit, freedom, near
 from ahnn.training.normal_equations import Equations, ResidualRows, accumulated
 
@@ -77,13 +77,13 @@ class Shooting:
         states = path(dynamics.increment, problem.starts, problem.steps.lengths)[:, problem.steps.ends]
         residuals = problem.batch.residuals(states)
         fixed = residuals.detach()
-        of_segments = problem.limit.weight(ROBUST[self.robust].cost(fixed).sum((1, 2)))
-        weight = ROBUST[self.robust].weight(fixed) * of_segments[:, None, None]
+        of_segments = problem.limit.weight(problem.robust.cost(fixed).sum((1, 2)))
+        weight = problem.robust.weight(fixed) * of_segments[:, None, None]
         return residuals * weight.sqrt()
 
     def problem(self, dynamics: Dynamics, batch: Segment) -> ShootingProblem:
         """Return the residuals as a least-squares problem in the parameters of the dynamics."""
-        return ShootingProblem(dynamics, batch, ROBUST[self.robust])
+        return ShootingProblem(dynamics, batch, loss_of(self.robust, batch.instrument.freedom))
 
     def divided(self, batch: Segment) -> tuple[Segment, None]:
         """Return the entire batch for the step: initial states are refitted, and no check is needed."""
@@ -91,7 +91,8 @@ class Shooting:
 
     def validation(self, dynamics: Dynamics, batch: Segment) -> dict[str, Tensor]:
         """Return chi-square per degree of freedom, `UNMET` for lost segments, and the fraction of these."""
-        problem, degrees = ShootingProblem(dynamics, batch, ROBUST[self.robust], UNMET), freedom(batch)
+        loss, degrees = loss_of(self.robust, batch.instrument.freedom), freedom(batch)
+        problem = ShootingProblem(dynamics, batch, loss, UNMET)
         sums = torch.minimum(problem.fitted.sums, UNMET * degrees)
         return {"loss": sums.sum() / degrees.sum(), "lost": sums.new_tensor(problem.lost / len(sums))}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 from helpers import MOLNIYA, SPRING, close
+from scipy.stats import kstest
 
 from ahnn.data.generate import generate
 from ahnn.data.sensor import OUTLIER, Sensor
@@ -25,6 +26,18 @@ def test_noise_has_its_standard_deviation_in_each_component():
     sizes = error.flatten(0, 1).std(0)
     close(sizes, torch.tensor([0.01, 0.5]), 0.02)  # of 40,000 numbers
     assert torch.equal(noisy.times, TRUTH.times)
+
+
+def test_heavy_tailed_noise_is_students_with_the_scale_of_the_noise():
+    """40,000 numbers of each component by Kolmogorov and Smirnov, which normal noise would not pass."""
+    options = {"noise": [0.01, 0.5], "gaps": 0.3}
+    error = sensor(freedom=4.0, **options).measure(TRUTH, 0).values - TRUTH.states
+    there = ~error.isnan()
+    for k, scale in enumerate((0.01, 0.5)):
+        values = (error[..., k][there[..., k]] / scale).numpy()
+        assert kstest(values, "t", args=(4.0,)).pvalue > 1e-3
+        assert kstest(values, "norm").pvalue < 1e-9
+    assert torch.equal(there, ~sensor(**options).measure(TRUTH, 0).values.isnan())
 
 
 def test_draws_belong_to_seed_and_part():
@@ -113,3 +126,8 @@ def test_standard_deviations_of_one_of_several_of_a_kind_are_those_of_each():
     for measurement, noise in ((two, [0.05, 1e-4]), (other, [1.0, 2.0, 3.0]), (station, [1.0, 2.0])):
         with pytest.raises(UserError, match="a standard deviation > 0 for each of"):
             noise_deviations(measurement, noise, "data.noise")
+
+
+def test_tails_and_correlation_are_not_estimated_together():
+    with pytest.raises(UserError, match=r"data.tails: expected data.correlation=null with it"):
+        sensor(tails="estimate", correlation="estimate")

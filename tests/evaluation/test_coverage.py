@@ -11,7 +11,7 @@ from cases import Learned, drop, make_case
 from ahnn.evaluation import evaluate
 from ahnn.evaluation.bands import NORMAL, banded, norms
 from ahnn.evaluation.forecast import held, imagined, right_bands
-from ahnn.evaluation.independent_directions import DirectionTest, direction_test
+from ahnn.evaluation.independent_directions import DirectionTest, direction_test, ratio_interval
 from ahnn.rollouts import rollout
 from ahnn.uncertainty import Uncertainty
 
@@ -105,6 +105,28 @@ def test_the_interval_is_that_of_chi_square():
     assert DirectionTest(8, 0.2).verdict == "too wide"
 
 
+def test_the_ratio_of_error_and_bound_has_the_interval_of_its_directions():
+    """Equal directions make it chi-square; beside one large direction others hardly count."""
+    for count in (1, 12):
+        low, high = ratio_interval(4.0 * torch.eye(count))
+        expected = DirectionTest(count, 1.0).right
+        assert low == pytest.approx(expected[0], rel=0.08)
+        assert high == pytest.approx(expected[1], rel=0.03)
+    one = ratio_interval(torch.diag(torch.tensor([1.0, *[1e-6] * 300])))
+    assert one == pytest.approx(ratio_interval(torch.eye(1)), abs=0.02)
+
+
+def test_errors_at_the_bound_are_in_that_interval_in_19_of_20_trainings():
+    """Of 400, with the spectrum of a pendulum: 6 to 36 in 99.9 % of cases, by the binomial distribution."""
+    sizes = torch.tensor([0.43, 0.13, 0.11, 0.07, *[0.02] * 13], **DOUBLE)
+    low, high = ratio_interval(torch.diag(sizes))
+    z = torch.randn(400, len(sizes), generator=torch.Generator().manual_seed(5), **DOUBLE)
+    ratios = ((sizes * z.square()).sum(1) / sizes.sum()).sqrt()
+    assert 6 <= int(((ratios < low) | (ratios > high)).sum()) <= 36
+    assert low < 0.6
+    assert float(ratios.median()) < 0.95
+
+
 def test_forecasts_whose_right_bands_could_be_half_as_wide_are_not_judged():
     shares = (0.68, 0.95, 1.0)
     assert right_bands(shares, ((0.1, 1), (0.6, 1), (0.9, 1))) == "too few independent directions to tell"
@@ -138,6 +160,10 @@ def test_an_evaluation_tells_and_draws_the_band(tmp_path):
         .startswith("bands of 1, 2 and 3 standard deviations contain 100, 100, 100 %")
     )
     assert "are 0.50 deviations: too few independent directions to tell)" in findings.rows[0].note
+    assert "times the noise bound (at the bound 0.03 to 2.2" in findings.rows[0].note
+    (position, velocity) = findings.numbers["uncertainty"]["usual"]
+    assert position == pytest.approx(DirectionTest(1, 1.0).right, abs=0.04)  # one parameter
+    assert velocity == pytest.approx(position)
     assert findings.numbers["uncertainty"]["coverage"] == [1, 1, 1]
     assert findings.numbers["uncertainty"]["test"]["directions"] == 1
     assert findings.numbers["uncertainty"]["determined"] == 1.0

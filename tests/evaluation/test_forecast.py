@@ -46,6 +46,22 @@ def test_bands_of_the_right_model_hold_what_normal_errors_have():
         assert high - low < 0.06  # four directions of the noise each, 400 times
 
 
+def test_forecasts_of_heavy_tailed_measurements_have_bands_of_that_noise():
+    """With 3 degrees of freedom a normal band of the same scale holds 61 % and 86 %."""
+    truth = trajectories(LONG, 200, 3)
+    segment = measured(truth, freedom=3.0)
+    freedom = torch.tensor([3.0], **DOUBLE)
+    student = segment._replace(instrument=segment.instrument._replace(freedom=freedom))
+    plain, right = (
+        forecast(Learned(LONG.stiffness), one, known(1e-9), truth=truth) for one in (segment, student)
+    )
+    assert plain is not None
+    assert right is not None
+    assert plain.coverage[1] < 0.89
+    assert right.coverage == pytest.approx((0.6827, 0.9545, 0.9973), abs=0.012)
+    assert right.states == pytest.approx((0.6827, 0.9545, 0.9973), abs=0.04)
+
+
 def test_right_bands_of_forecasts_hold_all_or_few_where_parameters_are_all_that_is_uncertain():
     truth = trajectories(LONG, 20, 3)
     few, many = (
