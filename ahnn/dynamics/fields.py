@@ -168,7 +168,7 @@ class HamiltonianDynamics(IntegratedField):
         for force in field.parts if isinstance(field, Forced) else ():
             force.silence()
 
-    def _as_one(self, x: Tensor, dt: TimeStep) -> tuple[Layers, Scheme] | None:
+    def as_one(self, x: Tensor, dt: TimeStep) -> tuple[Layers, Scheme] | None:
         """Return field and scheme if a step from states like x is a single fused operation, else None."""
         field, method = self.field, self.integrator
         if not (isinstance(field, GenericHamiltonian) and isinstance(method, ExplicitRungeKutta)):
@@ -178,13 +178,13 @@ class HamiltonianDynamics(IntegratedField):
 
     def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the integrator's increment along the field, shape (B, D)."""
-        found = self._as_one(x, dt) if x.ndim == 2 else None
+        found = self.as_one(x, dt) if x.ndim == 2 else None
         return super().increment(x, dt) if found is None else fused_steps.step(x, *found)
 
     @torch.no_grad()
     def in_c(self) -> bool:
         """Return whether training steps are computed in C."""
-        found = self._as_one(next(self.parameters()), 1.0)
+        found = self.as_one(next(self.parameters()), 1.0)
         if found is None:
             return False
         layers, scheme = found

@@ -11,7 +11,7 @@ from ahnn.arguments import Finite, Positive
 from ahnn.evaluation.terminal import show
 from ahnn.jobs.asked_starts import asked_starts
 from ahnn.jobs.control_times import moments_of
-from ahnn.jobs.named import named_runs
+from ahnn.jobs.named import named_runs, opened
 from ahnn.prediction import durations, output, together
 from ahnn.prediction.propagation import require_finite_prediction
 from ahnn.prediction.summary import summary, warning
@@ -44,7 +44,7 @@ def predict(asked: PredictionRequest) -> None:
         UserError: a missing run, invalid starts, or an output that cannot be written.
         TrainingError: a predicted state is not finite.
     """
-    runs = named_runs(asked.run, asked.pretrained, asked.ckpt)
+    runs = named_runs(opened(asked.run), asked.pretrained, asked.ckpt)
     space, clock = runs[0].space, runs[0].space.units.time
     begin = asked_starts(asked.start, asked.start_sd, asked.epoch, asked.frame, space)
     total = durations.duration(asked.duration, "duration", clock)

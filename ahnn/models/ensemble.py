@@ -1,0 +1,153 @@
+"""Members of a deep ensemble trained at once: one loop, one pass over the data, independent steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import chain
+from typing import Any, cast, final
+
+import torch
+from lightning import LightningModule, Trainer
+from torch import Tensor, nn
+
+from ahnn.cores import each
+from ahnn.dynamics import StackedDynamics
+from ahnn.errors import UserError
+from ahnn.models.module import LOOKS, AbstractModel
+from ahnn.training import Derivative, Recursive
+from ahnn.training.finite import require_finite_loss, require_finite_weights
+from ahnn.types import Window
+
+INDEPENDENT = ("SGD", "Adam", "AdamW", "NAdam", "RAdam", "Adamax", "Adagrad", "RMSprop")
+"""Optimisers of torch whose step of one number depends on no other number."""
+
+
+@final
+class EnsembleModel(LightningModule):
+    """Members that differ in their initial weights and the order of their batches.
+
+    Gradient steps minimise the sum of the losses: with an element-wise optimiser each member takes the steps
+    of a training of its own. Second-order steps are taken member by member, with a damping of their own.
+
+    Args:
+        members: models of one configuration, each built with its seed.
+
+    Raises:
+        UserError: an optimiser whose steps would couple the members.
+    """
+
+    def __init__(self, members: Sequence[AbstractModel]) -> None:
+        super().__init__()
+        self.members = nn.ModuleList(members)
+        self.scores: list[dict[str, float]] = [{} for _ in members]
+        self._sums: list[dict[str, float]] = []
+        self._rows = 0.0
+        self.configure_optimizers()
+
+    @property
+    def models(self) -> list[AbstractModel]:
+        """The members, in the order of their seeds."""
+        return cast("list[AbstractModel]", [*self.members])
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """Checkpoint metadata: that of the first member, and the number of members."""
+        first = self.models[0].about
+        return {**first, "settings": {**first.get("settings", {}), "members": len(self.members)}}
+
+    def check(self, trainer: Trainer) -> None:
+        """Raise UserError for settings that couple the members, or for several devices."""
+        clip = trainer.gradient_clip_val or 0
+        for name, fits, expected, received in (
+            ("trainer.gradient_clip_val", clip == 0, "none with members, whose gradients it couples", clip),
+            ("trainer.devices", trainer.world_size == 1, "one with members", trainer.world_size),
+        ):
+            if not fits:
+                message = f"{name}: expected {expected}; received {received}. Leave it out, or use seeds="
+                raise UserError(message)
+
+    def configure_optimizers(self) -> Any:
+        """Return one optimiser of all members and its scheduler, or an optimiser for each member."""
+        first = self.models[0]
+        solo = first.configure_optimizers()
+        self.automatic_optimization = first.automatic_optimization
+        if not self.automatic_optimization:
+            return [solo, *(model.configure_optimizers() for model in self.models[1:])]
+        kind = type(solo["optimizer"] if isinstance(solo, dict) else solo)
+        if kind.__name__ not in INDEPENDENT or not kind.__module__.startswith("torch.optim"):
+            message = (
+                f"members: expected an optimizer that treats each weight alone, such as adamw, or "
+                f"levenberg_marquardt; received {kind.__name__}. Use seeds= to train one after the other"
+            )
+            raise UserError(message)
+        own = first.optimisation
+        optimizer = own.optimizer(chain(*(model.dynamics.parameters() for model in self.models)))
+        if own.scheduler is None:
+            return optimizer
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": own.scheduler(optimizer), "interval": "epoch"}}
+
+    def training_step(self, batch: Any, batch_idx: int) -> Tensor:
+        """Return the sum of the members' losses of their batches, one below the other.
+
+        Raises:
+            TrainingError: the loss is not finite.
+        """
+        loss = self._sum_of_losses(batch) if self.automatic_optimization else self._steps(batch)
+        if loss.device.type == "cpu" or batch_idx % LOOKS == 0:
+            require_finite_loss(float(loss.detach()), f"in epoch {self.current_epoch}, batch {batch_idx}")
+        return loss
+
+    def on_validation_start(self) -> None:
+        """Check the weights, and forget the scores of the last validation."""
+        require_finite_weights(self, f"at step {self.trainer.global_step} in epoch {self.current_epoch}")
+        self._sums, self._rows = [{} for _ in self.members], 0.0
+
+    def validation_step(self, batch: Any, batch_idx: int) -> None:
+        """Add the metrics of a batch to those of each member."""
+        del batch_idx
+        size = float(len(batch.start) if isinstance(batch, Window) else len(batch.values))
+
+        def judged(model: AbstractModel) -> dict[str, Tensor]:
+            return model.curriculum.judge.validation(model.dynamics, batch)
+
+        found = each(judged, self.models, self.device) if isinstance(batch, Window) else map(judged, self.models)
+        metrics, self._rows = [*found], self._rows + size
+        for name in metrics[0]:
+            values = [float(one[name]) for one in metrics]
+            for sums, value in zip(self._sums, values, strict=True):
+                sums[name] = sums.get(name, 0.0) + size * value
+            mean = torch.tensor(values, dtype=torch.float64).mean()
+            self.log(f"val/{name}", mean, batch_size=int(size), on_epoch=True, logger=False)
+
+    def on_validation_epoch_end(self) -> None:
+        """Set the scores of the members."""
+        self.scores = [{f"val/{k}": v / self._rows for k, v in sums.items()} for sums in self._sums]
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Add the metadata of the first member, as plain values."""
+        checkpoint["ahnn"] = {**self.about, "dynamics": self.models[0].dynamics.spec}
+
+    def _split(self, batch: Any) -> list[Any]:
+        """Return the batch of each member."""
+        count = len(batch.start if isinstance(batch, Window) else batch.values) // len(self.members)
+        return [batch.rows(slice(k * count, (k + 1) * count)) for k in range(len(self.members))]
+
+    def _objectives(self) -> list[Any]:
+        epochs = self.trainer.max_epochs or 1
+        return [model.curriculum.at(self.current_epoch, epochs) for model in self.models]
+
+    def _sum_of_losses(self, batch: Any) -> Tensor:
+        """Return the sum with its graph, computed at once where residuals are those of single rows."""
+        objectives, first = self._objectives(), self.models[0]
+        if isinstance(objectives[0], Recursive | Derivative):
+            stacked: Any = StackedDynamics([model.dynamics for model in self.models])
+            return len(self.members) * first.loss(objectives[0].residuals(stacked, batch))
+        zipped = zip(self.models, objectives, self._split(batch), strict=True)
+        return torch.stack([m.stepper.step(o, m.loss, m.dynamics, own, None) for m, o, own in zipped]).sum()
+
+    def _steps(self, batch: Any) -> Tensor:
+        """Take a second-order step of each member, and return the sum of the losses before."""
+        counted, *others = cast("list[Any]", self.optimizers())
+        optimizers = [counted, *(other.optimizer for other in others)]  # the first one counts the steps
+        zipped = zip(self.models, optimizers, self._objectives(), self._split(batch), strict=True)
+        return torch.stack([m.stepper.step(o, m.loss, m.dynamics, own, opt) for m, opt, o, own in zipped]).sum()
