@@ -97,7 +97,9 @@ class Ensemble:
         _, covariance = mixture_moments(self.rollouts(start, steps, step))
         variance = covariance.diagonal(dim1=-2, dim2=-1)
         if all(run.uncertainty is not None for run in self.runs):
-            variance = variance + torch.stack([run.band(start, steps, step) for run in self.runs]).square().mean(0)
+            variance = variance + torch.stack(
+                [run.band(start, steps, step) for run in self.runs]
+            ).square().mean(0)
         return variance.sqrt()
 
     def predict(self, start: Numbers, times: Numbers, **options: object) -> Prediction:
@@ -141,7 +143,9 @@ class Ensemble:
         """
         first = self.runs[0]
         if states is None and first.domain is None:
-            message = "states: expected states (B, 2n), since the weights contain no training states; received none"
+            message = (
+                "states: expected states (B, 2n), since the weights contain no training states; received none"
+            )
             raise UserError(message)
         given = first.domain.states if states is None and first.domain is not None else states
         assert given is not None

@@ -70,8 +70,8 @@ def require_single(folder: Path, ckpt: str) -> None:
     """Raise UserError for the folder of several runs, unless a path names weights."""
     if ckpt in ("best", "last") and (folders := member_folders(folder)):
         message = (
-            f"run {folder}: expected the folder of one run; received that of {len(folders)} members. Name one, "
-            f"such as {folders[0]}, or use ahnn.load_ensemble"
+            f"run {folder}: expected the folder of one run; received that of {len(folders)} members. Name "
+            f"one, such as {folders[0]}, or use ahnn.load_ensemble"
         )
         raise UserError(message)
 

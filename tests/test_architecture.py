@@ -87,7 +87,17 @@ MAY_IMPORT = {key: set() for key in ("clock", "errors", "extensions", "locks", "
     "untrained": GROUND | {"data", "dynamics"},
     "jobs": GROUND
     | {"assimilation", "data", "dynamics", "evaluation", "graphs", "models", "prediction", "pretrained"}
-    | {"ensembles", "estimation", "loading", "runs", "shooting", "systems", "tracking", "training", "uncertainty"},
+    | {
+        "ensembles",
+        "estimation",
+        "loading",
+        "runs",
+        "shooting",
+        "systems",
+        "tracking",
+        "training",
+        "uncertainty",
+    },
 }
 ENTRIES = {
     "train",

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 import torch
 from entry import SMALL, Interrupted, call, untouched
-from helpers import close
+from helpers import SPRING, close, data_module, ready_model
 
 import ahnn
 from ahnn.checkpoints import read_weights
 from ahnn.cli.compose import compose_job
 from ahnn.cli.training import train
+from ahnn.models import EnsembleModel, Optimisation
 from ahnn.prediction import together
 from ahnn.rollouts import rollout
 
@@ -21,7 +22,10 @@ CASES = {
     "derivatives, then predictions": (["model=hnn", "recipe=first_order", "loss.derivative=0.5"], 1e-4),
     "maps": (["model=mlp", "recipe=first_order"], 1e-4),
     "second-order steps": (["model=hnn", "optimizer=levenberg_marquardt", "data.precision=64"], 1e-10),
-    "measurements": (["recipe=measurements", "data.noise=0.01", "data.every=3", "loss.stages=[[4,1.0]]"], 1e-10),
+    "measurements": (
+        ["recipe=measurements", "data.noise=0.01", "data.every=3", "loss.stages=[[4,1.0]]"],
+        1e-10,
+    ),
 }
 
 
@@ -92,6 +96,8 @@ def test_an_ensemble_is_the_mixture_of_its_members(evaluated):
     times = runs[0].dt * torch.arange(steps + 1)
     found, wanted = ensemble.predict(start, times), together([run.predict(start, times) for run in runs])
     close(found.states, wanted.states, 1e-12)
+    assert found.covariances is not None
+    assert wanted.covariances is not None
     close(found.covariances, wanted.covariances, 1e-12)
     after = np.stack([run.flow(start, 0.05).numpy() for run in runs])
     close(ensemble.flow(start, 0.05), torch.from_numpy(after.mean(0)), 1e-12)
@@ -121,7 +127,6 @@ REFUSED = {
     "members=2 seeds=[1,2]": "seeds: expected null, since members have",
     "members=2 weights=molniya_mechanical": "weights: expected null",
     "members=2 trainer.gradient_clip_val=1.0": "trainer.gradient_clip_val: expected none with members",
-    "members=2 optimizer._target_=torch.optim.LBFGS": "members: expected an optimizer that treats each weight alone",
 }
 
 
@@ -134,3 +139,12 @@ def test_what_would_couple_members_is_refused(mistake, tmp_path, capfd, monkeypa
     assert REFUSED[mistake] in err
     assert err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_optimiser_that_couples_weights_is_refused(tmp_path):
+    data = data_module(SPRING, str(tmp_path))
+    models = [ready_model("hnn", data, seed) for seed in (1, 2)]
+    for model in models:
+        model.train_by(Optimisation(torch.optim.LBFGS, None), {})
+    with pytest.raises(ahnn.UserError, match=r"treats each weight alone.*received LBFGS"):
+        EnsembleModel(models)

@@ -101,7 +101,10 @@ def require_alone(values: dict[str, Any]) -> None:
     if values.get("members") is None:
         return
     same = "initial weights of their own, without which they would differ in the order of batches only"
-    for key, expected in (("seeds", "null, since members have the seeds from seed= on"), ("weights", f"null: {same}")):
+    for key, expected in (
+        ("seeds", "null, since members have the seeds from seed= on"),
+        ("weights", f"null: {same}"),
+    ):
         if values.get(key):
             message = f"{key}: expected {expected}; received {values[key]} with members={values['members']}"
             raise UserError(message)

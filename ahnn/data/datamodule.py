@@ -174,7 +174,7 @@ class WindowDataModule(LightningDataModule):
         self.stages, self.epochs = stages, epochs
 
     def group(self, seeds: Sequence[int]) -> None:
-        """Provide batches for several trainings at once, each in the order of its seed, one below the other."""
+        """Provide batches of several trainings at once, one below the other, each in its own order."""
         self.orders = [*seeds]
 
     def train_dataloader(self) -> EpochLoader:

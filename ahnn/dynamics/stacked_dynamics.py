@@ -63,14 +63,17 @@ class StackedDynamics:
         return parallel_steps(starts, layers, schemes)
 
     def _mapped(self, name: str, x: Tensor, *dt: TimeStep) -> Tensor:
-        """Return a method of all members at their states, vectorised where operations do not depend on data."""
+        """Return a method of all members at their states, by vmap unless operations depend on data."""
         count = len(self.members)
         rows, steps = x.unflatten(0, (count, -1)), [_grouped(step, count) for step in dt]
         along = [0 if isinstance(step, Tensor) and step.ndim else None for step in steps]
         if not self._vectorised:
             found = []
             for k, (member, own) in enumerate(zip(self.members, rows.unbind(), strict=True)):
-                parts = [step if axis is None else cast(Tensor, step)[k] for step, axis in zip(steps, along, strict=True)]
+                parts = [
+                    step if axis is None else cast(Tensor, step)[k]
+                    for step, axis in zip(steps, along, strict=True)
+                ]
                 found.append(getattr(member, name)(own, *parts))
             return torch.cat(found)
         first = _Method(self.members[0], name)

@@ -14,7 +14,7 @@ from ahnn.cores import each
 from ahnn.dynamics import StackedDynamics
 from ahnn.errors import UserError
 from ahnn.models.module import LOOKS, AbstractModel
-from ahnn.training import Derivative, Recursive
+from ahnn.training import Derivative, Objective, Recursive
 from ahnn.training.finite import require_finite_loss, require_finite_weights
 from ahnn.types import Window
 
@@ -66,8 +66,12 @@ class EnsembleModel(LightningModule):
                 message = f"{name}: expected {expected}; received {received}. Leave it out, or use seeds="
                 raise UserError(message)
 
-    def configure_optimizers(self) -> Any:
-        """Return one optimiser of all members and its scheduler, or an optimiser for each member."""
+    def optimizers_of_all(self) -> Any:
+        """Return one optimiser of the weights of all members, or for second-order steps a list of one each.
+
+        Raises:
+            UserError: an optimiser whose steps would couple the members.
+        """
         first = self.models[0]
         solo = first.configure_optimizers()
         self.automatic_optimization = first.automatic_optimization
@@ -76,15 +80,21 @@ class EnsembleModel(LightningModule):
         kind = type(solo["optimizer"] if isinstance(solo, dict) else solo)
         if kind.__name__ not in INDEPENDENT or not kind.__module__.startswith("torch.optim"):
             message = (
-                f"members: expected an optimizer that treats each weight alone, such as adamw, or "
+                "members: expected an optimizer that treats each weight alone, such as adamw, or "
                 f"levenberg_marquardt; received {kind.__name__}. Use seeds= to train one after the other"
             )
             raise UserError(message)
-        own = first.optimisation
-        optimizer = own.optimizer(chain(*(model.dynamics.parameters() for model in self.models)))
-        if own.scheduler is None:
+        return first.optimisation.optimizer(chain(*(model.dynamics.parameters() for model in self.models)))
+
+    def configure_optimizers(self) -> Any:
+        """Return the optimisers and the scheduler for Lightning."""
+        optimizer, scheduler = self.optimizers_of_all(), self.models[0].optimisation.scheduler
+        if scheduler is None or isinstance(optimizer, list):
             return optimizer
-        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": own.scheduler(optimizer), "interval": "epoch"}}
+        return {
+            "optimizer": optimizer,
+            "lr_scheduler": {"scheduler": scheduler(optimizer), "interval": "epoch"},
+        }
 
     def training_step(self, batch: Any, batch_idx: int) -> Tensor:
         """Return the sum of the members' losses of their batches, one below the other.
@@ -92,7 +102,12 @@ class EnsembleModel(LightningModule):
         Raises:
             TrainingError: the loss is not finite.
         """
-        loss = self._sum_of_losses(batch) if self.automatic_optimization else self._steps(batch)
+        epochs, optimizers = self.trainer.max_epochs or 1, None
+        if not self.automatic_optimization:
+            counted, *others = cast("list[Any]", self.optimizers())
+            optimizers = [counted, *(other.optimizer for other in others)]  # the first one counts the steps
+        objectives = [model.curriculum.at(self.current_epoch, epochs) for model in self.models]
+        loss = self.losses(objectives, batch, optimizers)
         if loss.device.type == "cpu" or batch_idx % LOOKS == 0:
             require_finite_loss(float(loss.detach()), f"in epoch {self.current_epoch}, batch {batch_idx}")
         return loss
@@ -110,7 +125,9 @@ class EnsembleModel(LightningModule):
         def judged(model: AbstractModel) -> dict[str, Tensor]:
             return model.curriculum.judge.validation(model.dynamics, batch)
 
-        found = each(judged, self.models, self.device) if isinstance(batch, Window) else map(judged, self.models)
+        found = (
+            each(judged, self.models, self.device) if isinstance(batch, Window) else map(judged, self.models)
+        )
         metrics, self._rows = [*found], self._rows + size
         for name in metrics[0]:
             values = [float(one[name]) for one in metrics]
@@ -132,22 +149,20 @@ class EnsembleModel(LightningModule):
         count = len(batch.start if isinstance(batch, Window) else batch.values) // len(self.members)
         return [batch.rows(slice(k * count, (k + 1) * count)) for k in range(len(self.members))]
 
-    def _objectives(self) -> list[Any]:
-        epochs = self.trainer.max_epochs or 1
-        return [model.curriculum.at(self.current_epoch, epochs) for model in self.models]
+    def losses(self, objectives: Sequence[Objective], batch: Any, optimizers: Any) -> Tensor:
+        """Return the sum of the losses of the members, with its graph, or after a second-order step of each.
 
-    def _sum_of_losses(self, batch: Any) -> Tensor:
-        """Return the sum with its graph, computed at once where residuals are those of single rows."""
-        objectives, first = self._objectives(), self.models[0]
-        if isinstance(objectives[0], Recursive | Derivative):
+        Residuals of single rows are computed for all members at once.
+
+        Args:
+            objectives: objective of each member.
+            batch: their batches, one below the other.
+            optimizers: optimiser of each member, for second-order steps.
+        """
+        first, objective = self.models[0], objectives[0]
+        if self.automatic_optimization and isinstance(objective, Recursive | Derivative):
             stacked: Any = StackedDynamics([model.dynamics for model in self.models])
-            return len(self.members) * first.loss(objectives[0].residuals(stacked, batch))
-        zipped = zip(self.models, objectives, self._split(batch), strict=True)
-        return torch.stack([m.stepper.step(o, m.loss, m.dynamics, own, None) for m, o, own in zipped]).sum()
-
-    def _steps(self, batch: Any) -> Tensor:
-        """Take a second-order step of each member, and return the sum of the losses before."""
-        counted, *others = cast("list[Any]", self.optimizers())
-        optimizers = [counted, *(other.optimizer for other in others)]  # the first one counts the steps
-        zipped = zip(self.models, optimizers, self._objectives(), self._split(batch), strict=True)
-        return torch.stack([m.stepper.step(o, m.loss, m.dynamics, own, opt) for m, opt, o, own in zipped]).sum()
+            return len(self.members) * first.loss(objective.residuals(stacked, batch))
+        given = [None] * len(self.members) if self.automatic_optimization else optimizers
+        zipped = zip(self.models, objectives, self._split(batch), given, strict=True)
+        return torch.stack([m.stepper.step(o, m.loss, m.dynamics, own, by) for m, o, own, by in zipped]).sum()

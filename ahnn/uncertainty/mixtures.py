@@ -9,9 +9,9 @@ from torch import Tensor
 
 
 def mixture_moments(states: Tensor, covariances: Tensor | None = None) -> tuple[Tensor, Tensor]:
-    """Return mean (..., D) and covariance (..., D, D) of an equally weighted mixture (law of total covariance).
+    """Return mean (..., D) and covariance (..., D, D) of an equally weighted mixture.
 
-    The covariance of the means has the divisor S - 1: members are a sample.
+    By the law of total covariance. The covariance of the means has the divisor S - 1: members are a sample.
 
     Args:
         states: means of the S >= 2 members, (S, ..., D).

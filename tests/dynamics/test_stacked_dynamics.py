@@ -53,7 +53,7 @@ def test_increments_and_gradients_are_those_of_each_member_alone(kind, dtype):
     (weights * found).sum().backward()
     for k, dynamics in enumerate(alone):
         own = slice(k * ROWS, (k + 1) * ROWS)
-        wanted = dynamics.increment(x[own], dt if single else dt[own])
+        wanted = dynamics.increment(x[own], dt[own] if isinstance(dt, torch.Tensor) else dt)
         (weights[own] * wanted).sum().backward()
         accuracy = 2e-5 if dtype == torch.float32 else 1e-11
         close(found[own], wanted, accuracy)

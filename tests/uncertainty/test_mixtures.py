@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import torch
@@ -20,7 +22,7 @@ def test_the_score_is_the_integral_of_the_squared_difference_of_distributions(tr
         return (np.mean(norm.cdf(z, MEANS, DEVIATIONS)) - (z >= truth)) ** 2
 
     edges = sorted([-12.0, -1.0, 0.4, 2.3, 2.5, 2.7, truth, 12.0])
-    wanted = sum(quad(squared, a, b, epsabs=1e-12)[0] for a, b in zip(edges, edges[1:], strict=False) if a < b)
+    wanted = sum(quad(squared, a, b, epsabs=1e-12)[0] for a, b in pairwise(edges) if a < b)
     found = mixture_crps(
         torch.tensor([truth], dtype=torch.float64),
         torch.tensor(MEANS, dtype=torch.float64)[:, None],
