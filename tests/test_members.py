@@ -11,7 +11,9 @@ from helpers import SPRING, close, data_module, ready_model
 import ahnn
 from ahnn.checkpoints import read_weights
 from ahnn.cli.compose import compose_job
+from ahnn.cli.prepare import prepare
 from ahnn.cli.training import train
+from ahnn.fitting import check_given
 from ahnn.models import EnsembleModel, Optimisation
 from ahnn.prediction import together
 from ahnn.rollouts import rollout
@@ -148,3 +150,10 @@ def test_an_optimiser_that_couples_weights_is_refused(tmp_path):
         model.train_by(Optimisation(torch.optim.LBFGS, None), {})
     with pytest.raises(ahnn.UserError, match=r"treats each weight alone.*received LBFGS"):
         EnsembleModel(models)
+
+
+def test_members_are_refused_where_one_model_is_trained(tmp_path):
+    with pytest.raises(ahnn.UserError, match="one training; received members=2"):
+        check_given(["members=2"], tmp_path / "run")
+    with pytest.raises(ahnn.UserError, match="one model is trained here; received 2"):
+        prepare(compose_job(["members=2"], tmp_path / "run"))

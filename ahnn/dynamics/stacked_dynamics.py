@@ -16,6 +16,7 @@ from torch.func import functional_call, vmap
 
 from ahnn.dynamics.base import Dynamics
 from ahnn.dynamics.fields import HamiltonianDynamics
+from ahnn.dynamics.gradients import Layers
 from ahnn.dynamics.parallel_steps import can_run, parallel_steps
 from ahnn.dynamics.recorded_flow import is_fixed
 from ahnn.types import TimeStep
@@ -25,12 +26,14 @@ class StackedDynamics:
     """Increments of E members for states (E B, D), the first B of which belong to the first member.
 
     Args:
-        members: dynamics of one architecture, with equal buffers; their parameters receive the gradients.
+        members: dynamics of one architecture, with equal buffers; their parameters receive the gradients, and
+            do not change while this object is in use.
     """
 
     def __init__(self, members: Sequence[Dynamics]) -> None:
         self.members = list(members)
         self.clock = self.members[0].clock
+        self._layers: list[Layers] = []
         self._vectorised = is_fixed(self.members[0])
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
@@ -49,18 +52,18 @@ class StackedDynamics:
 
     def _in_c(self, x: Tensor, dt: TimeStep) -> Tensor | None:
         """Return the increments where all members take steps in C, else None."""
-        count = len(self.members)
         if not all(isinstance(member, HamiltonianDynamics) for member in self.members):
             return None
-        starts = x.chunk(count)
-        steps = dt.chunk(count) if isinstance(dt, Tensor) and dt.ndim else (dt,) * count
-        known = cast("list[HamiltonianDynamics]", self.members)
-        found = [one.as_one(own, step) for one, own, step in zip(known, starts, steps, strict=True)]
-        layers = [one[0] for one in found if one is not None]
-        schemes = [one[1] for one in found if one is not None]
-        if len(layers) < count or not can_run(starts, layers, schemes):
+        known, count = cast("list[HamiltonianDynamics]", self.members), len(self.members)
+        if not self._layers:
+            self._layers = [found for one in known if (found := one.fused_layers(x)) is not None]
+        if len(self._layers) < count:
             return None
-        return parallel_steps(starts, layers, schemes)
+        steps = dt.chunk(count) if isinstance(dt, Tensor) and dt.ndim else (dt,) * count
+        starts, schemes = x.chunk(count), [one.scheme(step) for one, step in zip(known, steps, strict=True)]
+        if not can_run(starts, self._layers, schemes):
+            return None
+        return parallel_steps(starts, self._layers, schemes)
 
     def _mapped(self, name: str, x: Tensor, *dt: TimeStep) -> Tensor:
         """Return a method of all members at their states, by vmap unless operations depend on data."""

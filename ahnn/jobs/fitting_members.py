@@ -44,8 +44,7 @@ class PreparedEnsemble:
 def fit_ensemble(prepared: PreparedEnsemble) -> float:
     """Train all members and return the duration of the steps in seconds."""
     trainer, first = prepared.trainer, prepared.members[0]
-    for member in prepared.members:
-        calibrate(replace(member, trainer=trainer, recorded=False, checkpoint=prepared.checkpoint))
+    calibrate_all(prepared)
     if first.model.dynamics.begins_known and prepared.checkpoint is None:
         trainer.num_sanity_val_steps = math.inf
     announce(prepared)
@@ -56,6 +55,17 @@ def fit_ensemble(prepared: PreparedEnsemble) -> float:
     started = time.monotonic()
     trainer.fit(prepared.model, first.data, ckpt_path=prepared.checkpoint)
     return time.monotonic() - started
+
+
+def calibrate_all(prepared: PreparedEnsemble) -> None:
+    """Fit the scalings of all members to the training split, and record the metadata of the data."""
+    first, *others = prepared.members
+    calibrate(replace(first, trainer=prepared.trainer, recorded=False, checkpoint=prepared.checkpoint))
+    statistics, known = first.data.statistics(), first.model.about
+    for member in others:
+        member.model.calibrate(statistics)
+        member.model.to(prepared.trainer.strategy.root_device)
+        member.model.learns_from(**{key: known[key] for key in ("dt", "domain", "seen")})
 
 
 def announce(prepared: PreparedEnsemble) -> None:
