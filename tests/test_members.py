@@ -18,12 +18,14 @@ from ahnn.models import EnsembleModel, Optimisation
 from ahnn.prediction import together
 from ahnn.rollouts import rollout
 
+SECOND = ["optimizer=levenberg_marquardt", "data.precision=64"]
 CASES = {
     "gradient steps in C": (["model=ahnn", "recipe=first_order", "callbacks.mean.fraction=0.5"], 1e-4),
     "gradient steps by vmap": (["model=node", "recipe=first_order"], 1e-4),
     "derivatives, then predictions": (["model=hnn", "recipe=first_order", "loss.derivative=0.5"], 1e-4),
     "maps": (["model=mlp", "recipe=first_order"], 1e-4),
-    "second-order steps": (["model=hnn", "optimizer=levenberg_marquardt", "data.precision=64"], 1e-10),
+    "second-order steps at once": (["model=hnn", *SECOND], 1e-3),
+    "second-order steps one by one": (["model=hnn", *SECOND, "model.network.width=24"], 1e-9),
     "measurements": (
         ["recipe=measurements", "data.noise=0.01", "data.every=3", "loss.stages=[[4,1.0]]"],
         1e-10,
@@ -39,7 +41,7 @@ def no_evaluation(request, monkeypatch):
 
 
 def trained(folder, words, **changes):
-    cfg = compose_job([*words, *SMALL], folder)
+    cfg = compose_job([*SMALL, *words], folder)
     for key, value in changes.items():
         cfg[key] = value
     with untouched():
@@ -67,10 +69,11 @@ def test_each_member_is_the_training_of_its_seed(case, tmp_path):
     assert float((one - other).abs().max()) > 0.1
 
 
-def test_a_cut_ensemble_ends_with_the_same_weights(tmp_path):
-    words = ["model=ahnn", "recipe=first_order", "members=2", "callbacks.last.every=4"]
+@pytest.mark.parametrize("kind", [["recipe=first_order"], SECOND], ids=["gradient", "second order"])
+def test_a_cut_ensemble_ends_with_the_same_weights(kind, tmp_path):
+    words = ["model=hnn", *kind, "members=2", "callbacks.last.every=4"]
     whole, cut = trained(tmp_path / "whole", words), tmp_path / "cut"
-    cfg = compose_job([*words, *SMALL], cut)
+    cfg = compose_job([*SMALL, *words], cut)
     callbacks = {**cfg.callbacks, "cut": {"_target_": "entry.CutAfter", "steps": 15}}
     with pytest.raises(Interrupted):
         trained(cut, words, callbacks=callbacks)

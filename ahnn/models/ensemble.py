@@ -16,6 +16,7 @@ from ahnn.errors import UserError
 from ahnn.models.module import LOOKS, AbstractModel
 from ahnn.training import Derivative, Objective, Recursive
 from ahnn.training.finite import require_finite_loss, require_finite_weights
+from ahnn.training.member_damping import StepTaken, member_damped_steps, together_in_steps
 from ahnn.types import Window
 
 INDEPENDENT = ("SGD", "Adam", "AdamW", "NAdam", "RAdam", "Adamax", "Adagrad", "RMSprop")
@@ -164,5 +165,17 @@ class EnsembleModel(LightningModule):
             stacked: Any = StackedDynamics([model.dynamics for model in self.models])
             return len(self.members) * first.loss(objective.residuals(stacked, batch))
         given = [None] * len(self.members) if self.automatic_optimization else optimizers
-        zipped = zip(self.models, objectives, self._split(batch), given, strict=True)
+        dynamics, batches = [model.dynamics for model in self.models], self._split(batch)
+        if not self.automatic_optimization and together_in_steps(
+            objective, dynamics, self._plain(optimizers)
+        ):
+            groups = [one.param_groups[0] for one in optimizers]
+            means = member_damped_steps(cast(Recursive, objective), dynamics, batches, groups)
+            optimizers[0].step(StepTaken(means[0]).both)
+            return means.sum()
+        zipped = zip(self.models, objectives, batches, given, strict=True)
         return torch.stack([m.stepper.step(o, m.loss, m.dynamics, own, by) for m, o, own, by in zipped]).sum()
+
+    def _plain(self, optimizers: Any) -> list[Any]:
+        """Return optimisers without Lightning's wrappers."""
+        return [getattr(one, "optimizer", one) for one in optimizers]
