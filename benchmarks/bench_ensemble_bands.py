@@ -9,6 +9,7 @@ each draw and in the mean, are of all later states of the first position: the co
 score, the fraction within two standard deviations, and the rms error, for
 
 - laplace: a member with its own band, the mean over the members;
+- median: the same, the median over the members, so that failed trainings count little;
 - ensemble: the members as points;
 - mixture: the members with their bands.
 """
@@ -17,7 +18,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from statistics import fmean
+from statistics import fmean, median
 
 import torch
 from torch import Tensor
@@ -37,7 +38,7 @@ from ahnn.uncertainty.posterior import FILE
 
 UNSEEN, SEED = 100, 90_000
 """Number of unseen trajectories and their seed."""
-KINDS = ("laplace", "ensemble", "mixture")
+KINDS = ("laplace", "median", "ensemble", "mixture")
 
 
 def trained(words: list[str], folder: Path) -> Trajectories:
@@ -80,6 +81,7 @@ def compared(folder: Path, unseen: Trajectories) -> dict[str, tuple[float, ...]]
     singly = [score(truth, m[None], s[None], s) for m, s in zip(means, own, strict=True)]
     return {
         "laplace": tuple(fmean(column) for column in zip(*singly, strict=True)),
+        "median": tuple(median(column) for column in zip(*singly, strict=True)),
         "ensemble": score(truth, means, None, spread),
         "mixture": score(truth, means, own, (spread.square() + own.square().mean(0)).sqrt()),
     }

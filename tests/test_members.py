@@ -13,10 +13,13 @@ from ahnn.checkpoints import read_weights
 from ahnn.cli.compose import compose_job
 from ahnn.cli.prepare import prepare
 from ahnn.cli.training import train
+from ahnn.estimation import initial_belief
 from ahnn.fitting import check_given
+from ahnn.measurements import Position
 from ahnn.models import EnsembleModel, Optimisation
 from ahnn.prediction import together
 from ahnn.rollouts import rollout
+from ahnn_plugins.ukf import unscented_filter
 
 SECOND = ["optimizer=levenberg_marquardt", "data.precision=64"]
 CASES = {
@@ -160,3 +163,15 @@ def test_members_are_refused_where_one_model_is_trained(tmp_path):
         check_given(["members=2"], tmp_path / "run")
     with pytest.raises(ahnn.UserError, match="one model is trained here; received 2"):
         prepare(compose_job(["members=2"], tmp_path / "run"))
+
+
+def test_a_filter_without_measurements_has_the_spread_of_the_members(evaluated):
+    ensemble = ahnn.load_ensemble(evaluated)
+    start = torch.tensor([[0.5, 0.1]], dtype=torch.float64)
+    noise, missing = ensemble.process_noise(states=start), torch.full((1, 1, 1), torch.nan)
+    belief = initial_belief(start, 1e-16 * torch.eye(2))
+    one = torch.eye(1, dtype=torch.float64)
+    result = unscented_filter(ensemble.flow, belief, missing, Position(1), noise, one, ensemble.dt)
+    after = torch.stack([run.flow(start) for run in ensemble.runs])
+    close(result.means[0], after.mean(0), 1e-6)
+    close((result.chols @ result.chols.mT)[0, 0], torch.from_numpy(np.cov(after[:, 0].T)), 1e-6)
