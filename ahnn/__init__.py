@@ -39,6 +39,7 @@ from typing import TYPE_CHECKING, Any  # noqa: E402
 
 if TYPE_CHECKING:
     from ahnn.assimilation import Assimilation
+    from ahnn.ensembles import Ensemble, load_ensemble
     from ahnn.errors import TrainingError, UserError
     from ahnn.fitting import fit
     from ahnn.loading import load
@@ -52,6 +53,7 @@ __version__ = "0.2.0"
 
 HOMES = {
     "Assimilation": "assimilation",
+    "Ensemble": "ensembles",
     "FlowMap": "untrained",
     "Hamiltonian": "untrained",
     "Lagrangian": "untrained",
@@ -65,12 +67,14 @@ HOMES = {
     "citations": "papers",
     "fit": "fitting",
     "load": "loading",
+    "load_ensemble": "ensembles",
     "save": "saving",
 }
 """Module of each public name; modules are imported on first use."""
 
 __all__ = [
     "Assimilation",
+    "Ensemble",
     "FlowMap",
     "Hamiltonian",
     "Lagrangian",
@@ -85,6 +89,7 @@ __all__ = [
     "citations",
     "fit",
     "load",
+    "load_ensemble",
     "save",
 ]
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 READ = ("system.cut", "system.gap", "system.unsound")
 """Keys of `system=files` that control how trajectories are used, available from Python too."""
-ELSEWHERE = ("run", "folder", "seeds", "sweep", "trial")
+ELSEWHERE = ("run", "folder", "seeds", "members", "sweep", "trial")
 """Keys of the command line that set the run folder and the number of models."""
 
 

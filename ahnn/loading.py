@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,8 @@ from ahnn.uncertainty import domain_of, load_uncertainty
 from ahnn.uncertainty.posterior import FILE
 
 log = logging.getLogger(__name__)
+MEMBER = re.compile(r"seed_(\d+)")
+"""Folder of one of several seeds, inside that of the run."""
 
 
 @checked
@@ -39,6 +42,7 @@ def load(run: str | Path, ckpt: str = "best") -> Run:
     if not folder.is_dir():
         message = f"run: expected a run folder or one of {', '.join(names())}; received {str(run)!r}"
         raise UserError(message)
+    require_single(folder, ckpt)
     path = weights_path(folder, ckpt)
     weights = read_weights(path)
     if ckpt == "best" and path.stem == "last":
@@ -53,6 +57,23 @@ def load(run: str | Path, ckpt: str = "best") -> Run:
         raise UserError(message)
     dynamics, uncertainty = known.taken(trained.dynamics)
     return replace(trained, dynamics=dynamics.eval().requires_grad_(False), uncertainty=uncertainty)
+
+
+def member_folders(folder: Path) -> list[Path]:
+    """Return the run folders of the members of an ensemble, by seed; none for another folder."""
+    numbered = ((MEMBER.fullmatch(path.name), path) for path in folder.glob("seed_*"))
+    found = [(int(match[1]), path) for match, path in numbered if match and weights_path(path).exists()]
+    return [path for _, path in sorted(found)]
+
+
+def require_single(folder: Path, ckpt: str) -> None:
+    """Raise UserError for the folder of several runs, unless a path names weights."""
+    if ckpt in ("best", "last") and (folders := member_folders(folder)):
+        message = (
+            f"run {folder}: expected the folder of one run; received that of {len(folders)} members. Name "
+            f"one, such as {folders[0]}, or use ahnn.load_ensemble"
+        )
+        raise UserError(message)
 
 
 def weights_path(folder: Path, ckpt: str = "best") -> Path:

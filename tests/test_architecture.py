@@ -83,11 +83,22 @@ MAY_IMPORT = {key: set() for key in ("clock", "errors", "extensions", "locks", "
     "runs": GROUND | {"dynamics", "evaluation", "prediction", "uncertainty"},
     "papers": {"loading", "runs"},
     "loading": GROUND | {"dynamics", "pretrained", "runs", "uncertainty"},
+    "ensembles": GROUND | {"dynamics", "loading", "prediction", "runs", "uncertainty"},
     "saving": GROUND | {"data", "dynamics", "loading", "runs", "uncertainty"},
     "untrained": GROUND | {"data", "dynamics"},
     "jobs": GROUND
     | {"assimilation", "data", "dynamics", "evaluation", "graphs", "models", "prediction", "pretrained"}
-    | {"estimation", "loading", "runs", "shooting", "systems", "tracking", "training", "uncertainty"}
+    | {
+        "ensembles",
+        "estimation",
+        "loading",
+        "runs",
+        "shooting",
+        "systems",
+        "tracking",
+        "training",
+        "uncertainty",
+    }
     | {"workers"},
 }
 ENTRIES = {

@@ -54,6 +54,7 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
     Raises:
         UserError: incompatible parts, or an override without effect.
     """
+    require_one(cfg)
     torch.set_num_threads(cfg.threads)
     seed_everything(cfg.seed, verbose=False)
     values, made = plain_config(cfg), factories(parts_of(cfg))
@@ -85,6 +86,16 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
     check_together(prepared)
     require_read(cfg, prepared, asked)
     return prepared
+
+
+def require_one(cfg: DictConfig) -> None:
+    """Raise UserError for an ensemble where a single model is trained."""
+    if cfg.get("members"):
+        message = (
+            f"members: expected null, since one model is trained here; received {cfg.members}. Use "
+            "python -m ahnn.train"
+        )
+        raise UserError(message)
 
 
 def parts_of(cfg: DictConfig) -> dict[str, Part]:

@@ -39,6 +39,7 @@ class CommonSettings(Again):
     weights: str | None
     folder: str
     seeds: list[Seed] | None = None
+    members: Annotated[int, Within(2, 64)] | None = None
     cuda_graphs: bool = True
 
 
@@ -84,6 +85,7 @@ def check_settings(cfg: DictConfig) -> None:
     if len({*seeds}) < len(seeds):
         message = f"seeds: expected different seeds; received {seeds}"
         raise UserError(message)
+    require_alone(values)
     received = flatten(values)
     for key, value in flatten(values.get("required") or {}).items():  # consequences of the chosen model
         if received.get(key) != value:
@@ -91,6 +93,20 @@ def check_settings(cfg: DictConfig) -> None:
                 f"{key}: expected {value} with model {cfg.label}; received {received.get(key)}. Choose "
                 "another model"
             )
+            raise UserError(message)
+
+
+def require_alone(values: dict[str, Any]) -> None:
+    """Raise UserError for members of an ensemble together with settings that contradict them."""
+    if values.get("members") is None:
+        return
+    same = "initial weights of their own, without which they would differ in the order of batches only"
+    for key, expected in (
+        ("seeds", "null, since members have the seeds from seed= on"),
+        ("weights", f"null: {same}"),
+    ):
+        if values.get(key):
+            message = f"{key}: expected {expected}; received {values[key]} with members={values['members']}"
             raise UserError(message)
 
 

@@ -22,9 +22,14 @@ if TYPE_CHECKING:
 def train(cfg: DictConfig) -> float:
     """Train with one seed or with several; return the mean of the best validation losses.
 
-    Several `seeds` have separate folders, such as seed_7, inside the run folder.
+    Several `seeds` have separate folders, such as seed_7, inside the run folder; so have `members`, which are
+    trained together.
     """
     begin(cfg)
+    if cfg.get("members"):
+        from ahnn.cli.members import train_members
+
+        return train_members(cfg)
     parts = [of_seed(cfg, seed) for seed in cfg.seeds] if cfg.seeds else [cfg]
     for part in parts:
         require_new(Path(part.folder), part.ckpt)
@@ -52,6 +57,11 @@ def check(cfg: DictConfig) -> None:
     """
     begin(cfg)
     with held():
+        if cfg.get("members"):
+            from ahnn.cli.members import prepare_members
+
+            prepare_members(cfg)
+            return
         from ahnn.cli.prepare import prepare
 
         prepare(of_seed(cfg, cfg.seeds[0]) if cfg.seeds else cfg)

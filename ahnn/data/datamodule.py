@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Annotated, Any, Literal, Protocol
 
@@ -11,7 +12,8 @@ from lightning import LightningDataModule, Trainer
 from torch import Tensor
 
 from ahnn.arguments import Count, Seed, Within, checked
-from ahnn.data.loader import SegmentLoader, WindowLoader
+from ahnn.data.grouped_loader import GroupedLoader
+from ahnn.data.loader import EpochLoader, SegmentLoader, WindowLoader
 from ahnn.data.measured_statistics import EXAMPLES, measured_statistics
 from ahnn.data.noise_floor import remark_on
 from ahnn.data.segments import Segments, whole
@@ -89,7 +91,7 @@ class WindowDataModule(LightningDataModule):
         self.window, self.span, self.batch_size = window, window, batch_size
         self.windows_per_epoch, self.val_windows = windows_per_epoch, val_windows
         self.dtype = {32: torch.float32, 64: torch.float64}[precision]
-        self.emphasis, self.order_seed = emphasis, order_seed
+        self.emphasis, self.orders = emphasis, [order_seed]
 
     def require_span(self, steps: int, clock: int = 0) -> None:
         """Require training windows of a minimum length, since derivatives may need more than W steps.
@@ -171,12 +173,20 @@ class WindowDataModule(LightningDataModule):
             raise UserError(message)
         self.stages, self.epochs = stages, epochs
 
-    def train_dataloader(self) -> WindowLoader | SegmentLoader:
-        """Return shuffled training batches."""
+    def group(self, seeds: Sequence[int]) -> None:
+        """Provide batches of several trainings at once, one below the other, each in its own order."""
+        self.orders = [*seeds]
+
+    def train_dataloader(self) -> EpochLoader:
+        """Return shuffled training batches, or those of several trainings."""
+        loaders = [self._ordered(seed) for seed in self.orders]
+        return loaders[0] if len(loaders) == 1 else GroupedLoader(loaders)
+
+    def _ordered(self, seed: int) -> WindowLoader | SegmentLoader:
         if self.stages is None:
-            return self._loader("train", self.span, self.windows_per_epoch, self.order_seed, self.emphasis)
+            return self._loader("train", self.span, self.windows_per_epoch, seed, self.emphasis)
         steps = max(1, (self.windows_per_epoch or self.batch_size) // self.batch_size)
-        return SegmentLoader(self._stage, steps, self.order_seed)
+        return SegmentLoader(self._stage, steps, seed)
 
     def val_dataloader(self) -> WindowLoader | SegmentLoader:
         """Return the validation batches, the same in every epoch."""

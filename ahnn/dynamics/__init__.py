@@ -14,6 +14,7 @@ from ahnn.dynamics.generalised_hnn import GeneralisedHNN
 from ahnn.dynamics.henon_net import HenonNet
 from ahnn.dynamics.lagrangian import LagrangianDynamics
 from ahnn.dynamics.next_state import NextState
+from ahnn.dynamics.stacked_dynamics import StackedDynamics
 from ahnn.dynamics.sympnet import SympNet
 from ahnn.errors import UserError
 from ahnn.extensions import Table
@@ -63,6 +64,7 @@ __all__ = [
     "HasField",
     "NeuralDynamics",
     "NextState",
+    "StackedDynamics",
     "has_field",
     "make_dynamics",
 ]

@@ -168,13 +168,21 @@ class HamiltonianDynamics(IntegratedField):
         for force in field.parts if isinstance(field, Forced) else ():
             force.silence()
 
+    def fused_layers(self, x: Tensor) -> Layers | None:
+        """Return the layers of the field where steps from states like x are fused operations, else None."""
+        field, method = self.field, self.integrator
+        fits = isinstance(field, GenericHamiltonian) and isinstance(method, ExplicitRungeKutta)
+        return field.layers(x) if fits else None
+
+    def scheme(self, dt: TimeStep) -> Scheme:
+        """Return method, step and activation of a fused operation."""
+        field, method = cast(GenericHamiltonian, self.field), cast(ExplicitRungeKutta, self.integrator)
+        return Scheme(method.tableau, column(dt), field.network.activation)
+
     def _as_one(self, x: Tensor, dt: TimeStep) -> tuple[Layers, Scheme] | None:
         """Return field and scheme if a step from states like x is a single fused operation, else None."""
-        field, method = self.field, self.integrator
-        if not (isinstance(field, GenericHamiltonian) and isinstance(method, ExplicitRungeKutta)):
-            return None
-        layers = field.layers(x)
-        return layers and (layers, Scheme(method.tableau, column(dt), field.network.activation))
+        layers = self.fused_layers(x)
+        return layers and (layers, self.scheme(dt))
 
     def increment(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the integrator's increment along the field, shape (B, D)."""

@@ -41,10 +41,10 @@ def recorded(flow: Flow) -> Flow:
 
     Dynamics with data-dependent operations, and unknown functions, are returned unchanged.
     """
-    return _Recorded(flow) if _fixed(flow) else flow
+    return _Recorded(flow) if is_fixed(flow) else flow
 
 
-def _fixed(flow: Flow) -> bool:
+def is_fixed(flow: Flow) -> bool:
     """Return whether a flow consists of dynamics with data-independent operations."""
     if clock_of(flow) > 1:  # controls
         return False
@@ -100,7 +100,7 @@ class Increments:
     def _gains(self) -> bool:
         """Return whether a recording is faster; a step that is one C operation gains nothing."""
         flow = self.dynamics
-        return _fixed(flow) and not (isinstance(flow, HamiltonianDynamics) and flow.in_c())
+        return is_fixed(flow) and not (isinstance(flow, HamiltonianDynamics) and flow.in_c())
 
     def __call__(self, theta: Tensor, x: Tensor, dt: Tensor) -> Tensor:
         """Return x(t + dt) - x(t), (B, D), for the parameters theta, (P,), states x, (B, D), and dt, (B,)."""

@@ -78,12 +78,13 @@ def _conclude(prepared: Prepared, best: Path, steps: int) -> None:
     replace_weights(best, {} if found is None else dynamics.state_dict(), about)
 
 
-def judge(prepared: Prepared, seconds: float) -> float:
+def judge(prepared: Prepared, seconds: float, steps: int | None = None) -> float:
     """Evaluate the best weights of a run, write and show the results, and return the validation loss.
 
     Args:
         prepared: prepared training run.
         seconds: duration of its steps.
+        steps: their number; None for those of its trainer.
     """
     folder, data, trainer, plan = prepared.folder, prepared.data, prepared.trainer, prepared.assessment
     if data.stages is not None:
@@ -94,7 +95,7 @@ def judge(prepared: Prepared, seconds: float) -> float:
         "seed": prepared.seed,
         "seconds": round(seconds, 1),
         "window": data.window,
-        "steps": trainer.global_step,
+        "steps": trainer.global_step if steps is None else steps,
         "parameters": sum(p.numel() for p in prepared.model.parameters()),
         "val_loss": loss,
     }

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+from ahnn.ensembles import require_same_states
 from ahnn.errors import UserError
-from ahnn.loading import load
+from ahnn.loading import load, member_folders
 from ahnn.pretrained import shipped
 from ahnn.runs import Run
 
@@ -19,9 +22,14 @@ def named_runs(run: str | list[str] | None, pretrained: str | None, ckpt: str) -
         raise UserError(message)
     folders = [shipped(pretrained)] if pretrained is not None else run if isinstance(run, list) else [run]
     runs = [load(str(folder), ckpt) for folder in folders]
-    first = runs[0].space._replace(name="")
-    for other in runs[1:]:
-        if (space := other.space._replace(name="")) != first:
-            message = f"run: expected runs of the same states and units; received {first} and {space}"
-            raise UserError(message)
+    require_same_states(runs)
     return runs
+
+
+def opened(run: str | list[str] | None) -> str | list[str] | None:
+    """Return run folders with those of ensembles replaced by the folders of their members."""
+    if run is None:
+        return None
+    given = run if isinstance(run, list) else [run]
+    found = [str(one) for folder in given for one in member_folders(Path(folder)) or [folder]]
+    return found if len(found) > 1 else found[0]

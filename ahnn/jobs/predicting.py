@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from ahnn.arguments import Finite, Positive
 from ahnn.evaluation.terminal import show
 from ahnn.jobs.asked_starts import asked_starts
 from ahnn.jobs.control_times import moments_of
-from ahnn.jobs.named import named_runs
+from ahnn.jobs.named import named_runs, opened
 from ahnn.jobs.predicting_blocks import blocks_of, predict_block
 from ahnn.prediction import durations, output
 from ahnn.prediction.many_trajectories import finite_prediction, joined
@@ -49,6 +49,7 @@ def predict(asked: PredictionRequest) -> None:
         UserError: a missing run, invalid starts, or an output that cannot be written.
         TrainingError: predicted states of every trajectory are not finite.
     """
+    asked = replace(asked, run=opened(asked.run))
     workers = None if asked.workers is None else Workers.of(asked.workers)
     if workers is not None:
         workers.require_installed()

@@ -6,10 +6,11 @@ The HNN⁺ of the paper is `AHNN` over windows of one step, so both share a clas
 from __future__ import annotations
 
 from ahnn.models.ahnn import AHNN
+from ahnn.models.ensemble import EnsembleModel
 from ahnn.models.lnn import LNN
 from ahnn.models.mlp import MLP
 from ahnn.models.module import AbstractModel, Optimisation
 from ahnn.models.node import NODE
 from ahnn.models.symplectic_model import SymplecticModel
 
-__all__ = ["AHNN", "LNN", "MLP", "NODE", "AbstractModel", "Optimisation", "SymplecticModel"]
+__all__ = ["AHNN", "LNN", "MLP", "NODE", "AbstractModel", "EnsembleModel", "Optimisation", "SymplecticModel"]

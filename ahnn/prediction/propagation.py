@@ -24,6 +24,7 @@ from ahnn.progress import track
 from ahnn.shooting.path_sensitivities import Steps, path, steps_between
 from ahnn.shooting.quadrature import coarse
 from ahnn.types import in_short
+from ahnn.uncertainty import mixture_moments
 
 CELLS = 4e6
 """Size limit of the largest sensitivity tensor; longer paths are propagated in segments."""
@@ -159,15 +160,12 @@ def together(predictions: Sequence[Prediction]) -> Prediction:
     first, *others = predictions
     if not others:
         return first
-    states = torch.stack([one.states for one in predictions])
-    off = states - states.mean(0)
-    covariances = torch.einsum("s...i,s...j->...ij", off, off) / len(others)
     own = [one.covariances for one in predictions if one.covariances is not None]
-    if len(own) == len(predictions):
-        covariances = covariances + torch.stack(own).mean(0)
+    known = torch.stack(own) if len(own) == len(predictions) else None
+    mean, covariances = mixture_moments(torch.stack([one.states for one in predictions]), known)
     far = [one.novelty for one in predictions if one.novelty is not None]
     novelty = torch.stack(far).amax(0) if len(far) == len(predictions) else None
-    return Prediction(first.times, states.mean(0), covariances, novelty)
+    return Prediction(first.times, mean, covariances, novelty)
 
 
 def require_times(times: Tensor) -> None:

@@ -113,7 +113,7 @@ def normal_equations(jacobian: Tensor, residuals: Tensor, sizes: Sequence[int]) 
         residuals: r, shape (N,). The blocks are in its precision.
         sizes: sizes of the tensors that form the P parameters; a tensor is never split.
     """
-    used = torch.stack([_used(part) for part in jacobian.split(list(sizes), dim=-1)], dim=-1)
+    used = torch.stack([used_rows(part) for part in jacobian.split(list(sizes), dim=-1)], dim=-1)
     columns = torch.arange(jacobian.shape[1], device=jacobian.device).split(list(sizes))
     blocks = []
     for members in independent(used):
@@ -127,7 +127,7 @@ def normal_equations(jacobian: Tensor, residuals: Tensor, sizes: Sequence[int]) 
     return blocks
 
 
-def _used(part: Tensor) -> Tensor:
+def used_rows(part: Tensor) -> Tensor:
     """Return which rows (N,) of columns (N, K) are nonzero; often one column determines all."""
     one = part[:, part.shape[1] // 2 :][:, :1].any(-1)
     return one if bool(one.all()) else part.any(-1)

@@ -56,10 +56,11 @@ def require_restorable(who: str, model: Any, trainer: Any, content: dict[str, An
     if missing := [key for key, kind in NEEDED.items() if not isinstance(content.get(key), kind)]:
         message = f"{who}: expected a complete checkpoint; received one without {', '.join(missing)}"
         raise UserError(message)
-    fresh, stepped = _optimisation(model), _optimisation(model)
+    (fresh, schedulers), (stepped, _) = _optimisation(model), _optimisation(model)
     try:
-        _step(stepped[0])
-        known = layout(dict(model.state_dict())) | layout([stepped[0].state_dict()], STATES)
+        for part in stepped:
+            _step(part)
+        known = layout(dict(model.state_dict())) | layout([part.state_dict() for part in stepped], STATES)
         found = layout(content["state_dict"]) | layout(content[STATES], STATES)
         owners = {name.rpartition(".")[0] for name in found}  # parameters without gradients have no state
         needed = {n for n in known if not n.startswith(STATES) or n.rpartition(".")[0] in owners}
@@ -69,9 +70,11 @@ def require_restorable(who: str, model: Any, trainer: Any, content: dict[str, An
                 f"{who}: expected the shapes of this model; received different shapes of {', '.join(wrong)}"
             )
             raise UserError(message)
-        for part, states in zip(fresh, (content[STATES], content["lr_schedulers"]), strict=False):
-            part.load_state_dict(states[0])
-        _step(fresh[0])
+        for parts, states in ((fresh, content[STATES]), (schedulers, content["lr_schedulers"])):
+            for k, part in enumerate(parts):
+                part.load_state_dict(states[k])
+        for part in fresh:
+            _step(part)
         for part in trainer.callbacks:
             if part.state_key in content["callbacks"]:
                 part.load_state_dict(content["callbacks"][part.state_key])
@@ -93,12 +96,12 @@ def layout(value: Any, name: str = "") -> dict[str, tuple[torch.Size, torch.dtyp
     return {key: found for part in parts for key, found in part.items()}
 
 
-def _optimisation(model: Any) -> list[Any]:
-    """Build an optimiser of a copy of the model, and its scheduler, if any."""
+def _optimisation(model: Any) -> tuple[list[Any], list[Any]]:
+    """Build the optimisers of a copy of the model, one or several, and its scheduler, if any."""
     configured = copy.deepcopy(model).configure_optimizers()
     if not isinstance(configured, dict):
-        return [configured]
-    return [configured["optimizer"], configured["lr_scheduler"]["scheduler"]]
+        return (configured if isinstance(configured, list) else [configured]), []
+    return [configured["optimizer"]], [configured["lr_scheduler"]["scheduler"]]
 
 
 def _step(optimizer: Optimizer) -> None:

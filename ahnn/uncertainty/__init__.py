@@ -7,6 +7,7 @@ from ahnn.uncertainty.constants import Constant, learned_constants
 from ahnn.uncertainty.domain import BEYOND, Domain, domain_of, find_domain, growth
 from ahnn.uncertainty.force import force_deviation
 from ahnn.uncertainty.forecast import forecast_columns
+from ahnn.uncertainty.mixtures import mixture_crps, mixture_moments
 from ahnn.uncertainty.posterior import Uncertainty, load_uncertainty, save_uncertainty
 
 __all__ = [
@@ -21,6 +22,8 @@ __all__ = [
     "growth",
     "learned_constants",
     "load_uncertainty",
+    "mixture_crps",
+    "mixture_moments",
     "rollout_covariances",
     "rollout_sensitivities",
     "sampled_rollouts",

@@ -72,13 +72,17 @@ class ValidationRollout(Callback):
 
     def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Log the value of this epoch, or the latest one; the last epoch always computes one."""
-        data = cast(Any, trainer).datamodule
-        if self._silent(data):
-            return
+        if (value := self.judge(trainer, pl_module)) is not None:
+            pl_module.log("val/rollout", value, logger=False, sync_dist=True)
+
+    def judge(self, trainer: Trainer, module: LightningModule) -> float | None:
+        """Return the value of a model in this epoch, or the latest one; None where none is computed."""
+        if self._silent(cast(Any, trainer).datamodule):
+            return None
         epoch = trainer.current_epoch + 1
         if trainer.sanity_checking or epoch % self.every == 0 or epoch == trainer.max_epochs:
-            self.latest = self._error(trainer, pl_module)
-        pl_module.log("val/rollout", self.latest, logger=False, sync_dist=True)
+            self.latest = self._error(trainer, module)
+        return self.latest
 
     def _silent(self, data: WindowDataModule) -> bool:
         if self.count == 0 or data.stages is not None:

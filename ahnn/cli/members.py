@@ -1,0 +1,98 @@
+"""Trainings of an ensemble at once, from a configuration with `members`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from omegaconf import DictConfig
+
+from ahnn.cli.build import Part, factories, factory, stored
+from ahnn.cli.early_stops import held, interruptible
+from ahnn.cli.parts import is_multirun
+from ahnn.cli.preflight import require_new
+from ahnn.errors import UserError
+from ahnn.files import claimed, require_writable
+
+if TYPE_CHECKING:
+    from ahnn.jobs.fitting_members import PreparedEnsemble
+    from ahnn.jobs.prepared import Prepared
+    from ahnn.training.callbacks import MemberPoints
+
+
+def train_members(cfg: DictConfig) -> float:
+    """Train all members at once, evaluate each, and return the mean of the best validation losses."""
+    with held():
+        prepared = prepare_members(cfg)
+    for folder in (prepared.folder, *(member.folder for member in prepared.members)):
+        require_new(folder, cfg.ckpt)
+    prepared.members[0].data.train_dataloader()  # last check: files are written from here on
+    require_writable(prepared.folder)
+    from ahnn.jobs.closing import require_converged
+    from ahnn.jobs.fitting_members import fit_ensemble, judge_members
+
+    again = f"resume with the same command and run={cfg.folder} ckpt=last"
+    with claimed(prepared.folder), interruptible(prepared.trainer, lambda: again):
+        seconds = fit_ensemble(prepared)
+        loss = judge_members(prepared, seconds)
+    if not is_multirun():
+        require_converged([member.folder for member in prepared.members])
+    return loss
+
+
+def prepare_members(cfg: DictConfig) -> PreparedEnsemble:
+    """Build the trainings of all members and the trainer that they share.
+
+    Raises:
+        UserError: incompatible parts, or settings that couple the members.
+    """
+    from ahnn.cli.prepare import build_trainer, parts_of, prepare
+    from ahnn.cli.training import of_seed
+    from ahnn.jobs.fitting_members import PreparedEnsemble
+    from ahnn.models import EnsembleModel
+    from ahnn.training.restore import require_resumable
+
+    alone = cfg.copy()
+    alone.members, alone.ckpt = None, None
+    members = [prepare(of_seed(alone, seed)) for seed in range(cfg.seed, cfg.seed + cfg.members)]
+    data = members[0].data
+    data.group([member.data.orders[0] for member in members])
+    members = [replace(member, data=data) for member in members]
+    shared = cfg.copy()
+    shared.callbacks.best = shared.callbacks.rollout = None
+    folder = Path(cfg.folder)
+    trainer = build_trainer(factories(parts_of(shared)), folder)
+    trainer.callbacks.append(points_of(cfg, members))  # pyright: ignore[reportAttributeAccessIssue]
+    data.feed(trainer)
+    model = EnsembleModel([member.model for member in members])
+    model.check(trainer)
+    checkpoint = None if cfg.ckpt is None else Path(cfg.ckpt)
+    if cfg.ckpt == "last":
+        checkpoint = folder / "checkpoints" / "last.ckpt"
+    if checkpoint is not None:
+        require_resumable(checkpoint, model, trainer)
+    return PreparedEnsemble(
+        folder=folder,
+        config=stored(cfg),
+        members=members,
+        model=model,
+        trainer=trainer,
+        checkpoint=checkpoint,
+    )
+
+
+def points_of(cfg: DictConfig, members: Sequence[Prepared]) -> MemberPoints:
+    """Return what keeps the best weights of each member; raises UserError where nothing selects them."""
+    from ahnn.training.callbacks import MemberPoints, ValidationRollout
+
+    best, node = cfg.callbacks.get("best"), cfg.callbacks.get("rollout")
+    if best is None or node is None:
+        message = (
+            "callbacks: expected best and rollout with members, which select the weights of each; "
+            f"received callbacks.{'best' if best is None else 'rollout'}=null"
+        )
+        raise UserError(message)
+    made = factory("callbacks.rollout", Part(node, ValidationRollout))
+    return MemberPoints([member.folder for member in members], best.monitor, [made() for _ in members])

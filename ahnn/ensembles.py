@@ -1,0 +1,180 @@
+"""Ensembles of trained models: the mixture of their forecasts.
+
+ensemble = ahnn.load_ensemble("runs/spring_ensemble")
+ensemble.rollout(start, steps=400), ensemble.band(start, steps=400)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from ahnn.arguments import checked
+from ahnn.dynamics import StackedDynamics
+from ahnn.errors import UserError
+from ahnn.loading import load, member_folders
+from ahnn.numbers import Numbers
+from ahnn.prediction import Prediction, together
+from ahnn.prediction.arguments import states_of
+from ahnn.runs import Run
+from ahnn.types import Space, TimeStep
+from ahnn.uncertainty import mixture_moments
+
+STATES = 1000
+"""Number of training states at which the process noise is averaged."""
+
+
+def require_same_states(runs: Sequence[Run]) -> None:
+    """Raise UserError for runs whose states or units differ."""
+    first = runs[0].space._replace(name="")
+    for other in runs[1:]:
+        if (space := other.space._replace(name="")) != first:
+            message = f"run: expected runs of the same states and units; received {first} and {space}"
+            raise UserError(message)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Ensemble:
+    """Trained models of one system as an equally weighted mixture.
+
+    Where all members have a covariance of their parameters, each is a normal distribution about its forecast,
+    and otherwise a point: the covariance is that of the members, plus the mean of their own.
+
+    Attributes:
+        runs: the members.
+    """
+
+    runs: tuple[Run, ...]
+
+    def __post_init__(self) -> None:
+        """Check that the members have the same states; raises UserError."""
+        if len(self.runs) < 2:
+            message = f"runs: expected two or more members of an ensemble; received {len(self.runs)}"
+            raise UserError(message)
+        require_same_states(self.runs)
+
+    def __repr__(self) -> str:
+        return f"Ensemble({len(self.runs)} members, {self.runs[0]!r} and others)"
+
+    @property
+    def space(self) -> Space:
+        """Names and units of the state components."""
+        return self.runs[0].space
+
+    @property
+    def dt(self) -> float:
+        """Sampling interval of the training data, in the unit of time."""
+        return self.runs[0].dt
+
+    def rollouts(self, start: Numbers, steps: int, dt: Numbers | None = None) -> Tensor:
+        """Return the predicted trajectories of the S members, shape (S, B, steps + 1, 2n).
+
+        Args:
+            start: (B, 2n) or (2n,) states, in the units of the space.
+            steps: number of time steps.
+            dt: time step, or (B, steps) step lengths; by default the sampling interval of the training data.
+
+        Raises:
+            UserError: invalid starts or steps.
+        """
+        step = self.dt if dt is None else dt
+        return torch.stack([run.rollout(start, steps, step) for run in self.runs])
+
+    def rollout(self, start: Numbers, steps: int, dt: Numbers | None = None) -> Tensor:
+        """Return the mean of `rollouts`, shape (B, steps + 1, 2n); arguments and errors as there."""
+        return self.rollouts(start, steps, dt).mean(0)
+
+    def band(self, start: Numbers, steps: int, dt: Numbers | None = None) -> Tensor:
+        """Return the standard deviations of the mixture, shape (B, steps + 1, 2n), for exact starts.
+
+        Arguments and errors as of `rollouts`.
+        """
+        step = self.dt if dt is None else dt
+        _, covariance = mixture_moments(self.rollouts(start, steps, step))
+        variance = covariance.diagonal(dim1=-2, dim2=-1)
+        if all(run.uncertainty is not None for run in self.runs):
+            variance = variance + torch.stack(
+                [run.band(start, steps, step) for run in self.runs]
+            ).square().mean(0)
+        return variance.sqrt()
+
+    def predict(self, start: Numbers, times: Numbers, **options: object) -> Prediction:
+        """Return the mean of the members' predictions, with the covariance of the mixture.
+
+        Args:
+            start: (B, 2n) or (2n,) states at the first of the times, in the units of the space.
+            times: (T,) increasing, in its unit of time.
+            options: further arguments of `Run.predict`.
+
+        Raises:
+            UserError: as for `Run.predict`.
+        """
+        return together([run.predict(start, times, **options) for run in self.runs])  # pyright: ignore[reportArgumentType]
+
+    def flow(self, x: Numbers, dt: TimeStep | None = None) -> Tensor:
+        """Return the mean of the members' states after dt, shape (B, 2n), from states x, shape (B, 2n).
+
+        Args:
+            x: states, in the units of the space.
+            dt: one time step, or one for each state, (B,); by default one sampling interval.
+
+        Raises:
+            UserError: invalid states.
+        """
+        state = states_of(x, "x", self.runs[0].dynamics, self.space)
+        return self._after(state, self.dt if dt is None else dt).mean(0)
+
+    @torch.no_grad()
+    def process_noise(self, dt: float | None = None, states: Numbers | None = None) -> Tensor:
+        """Return the covariance (2n, 2n) of the members' increments over one step, averaged over states.
+
+        It is the Q of a filter along `flow` whose error is that of the members, drawn anew at each step.
+
+        Args:
+            dt: time step; by default one sampling interval.
+            states: (B, 2n); by default representative training states.
+
+        Raises:
+            UserError: invalid states, or none known.
+        """
+        first = self.runs[0]
+        if states is None and first.domain is None:
+            message = (
+                "states: expected states (B, 2n), since the weights contain no training states; received none"
+            )
+            raise UserError(message)
+        given = first.domain.states if states is None and first.domain is not None else states
+        assert given is not None
+        x = states_of(given, "states", first.dynamics, self.space)
+        x = x[:: max(1, len(x) // STATES)]
+        _, covariance = mixture_moments(self._after(x, self.dt if dt is None else dt))
+        return covariance.mean(0)
+
+    def _after(self, x: Tensor, dt: TimeStep) -> Tensor:
+        """Return the states of each member after dt, (S, B, 2n)."""
+        stacked = StackedDynamics([run.dynamics for run in self.runs])
+        count = len(self.runs)
+        steps = dt.repeat(count) if isinstance(dt, torch.Tensor) and dt.ndim else dt
+        return stacked(x.repeat(count, 1), steps).unflatten(0, (count, -1))
+
+
+@checked
+def load_ensemble(run: str | Path | list[str], ckpt: str = "best") -> Ensemble:
+    """Load the members of an ensemble.
+
+    Args:
+        run: folder of a training with `members` or `seeds`, or several run folders.
+        ckpt: `best` or `last`.
+
+    Raises:
+        UserError: a folder without members, or members of different states.
+    """
+    folders = [Path(one) for one in run] if isinstance(run, list) else member_folders(Path(run))
+    if not folders:
+        message = f"run: expected a folder of a training with members= or seeds=; received {str(run)!r}"
+        raise UserError(message)
+    return Ensemble(tuple(load(folder, ckpt) for folder in folders))
