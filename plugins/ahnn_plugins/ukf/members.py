@@ -6,14 +6,16 @@ operations dominated by overhead; here there are three or four.
 
 from __future__ import annotations
 
+import ctypes
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from ahnn.compiled_libraries import followed, plain
+from ahnn.compiled_libraries import CompiledFlow, followed, plain
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.results import Predicted, Updated
+from ahnn.estimation.step_runs import StepRun
 from ahnn_plugins.ukf.library import library
 from ahnn_plugins.ukf.parameters import Residual, SigmaWeights
 
@@ -156,6 +158,53 @@ class Memory:
         return Belief(mean, chol), _updated(True, tuple(results))
 
 
+def results(steps: int, width: int, mean: Tensor) -> tuple[Tensor, ...]:
+    """Allocate memory for S steps of members like `mean`, (B, D), with rows of M components.
+
+    Returns:
+        Means and factors of the predictions, innovations, means and factors of the posteriors, deviations,
+        NIS, log-likelihoods and flags of singular members, each (S, B, ...).
+    """
+    (batch, size), new = mean.shape, mean.new_empty
+    vector, matrix, row, one = (
+        (steps, batch, size),
+        (steps, batch, size, size),
+        (steps, batch, width),
+        (steps, batch),
+    )
+    floats = tuple(new(shape) for shape in (vector, matrix, row, vector, matrix, row, one, one))
+    return *floats, new(one, dtype=torch.bool)
+
+
+def follow(
+    flow: CompiledFlow,
+    run: StepRun,
+    weights: SigmaWeights,
+    noise: StepNoise,
+    points: tuple[Tensor, Tensor],
+    results: tuple[Tensor, ...],
+) -> int:
+    """Execute steps until one needs a decision; return how many are done.
+
+    Args:
+        flow: the process model.
+        run: steps and rows of one member.
+        weights: sigma point weights.
+        noise: noise of the steps; process noise is that of a step each.
+        points: (1, S, D) sigma points before the run, overwritten, and memory for those after the flow.
+        results: memory of `results`.
+    """
+    (before, moved), done, rows = points, ctypes.c_long(0), run.rows.contiguous()
+    scales = (weights.outer, weights.recentring, weights.radius)
+    fixed = 1, before.shape[-1], rows.shape[-1], len(run.measured), flow.function, flow.about
+    q, q_next = noise.process
+    chol_r, r_step, limit, half = noise.measured
+    steps = run.lengths.data_ptr(), bytes(run.measured), *(scale.data_ptr() for scale in scales), 0
+    own = q, 0, q_next, rows.data_ptr(), chol_r, r_step, limit, half, before.data_ptr(), moved.data_ptr()
+    _done("ahnn_follow", *fixed, *steps, *own, *(part.data_ptr() for part in results), ctypes.addressof(done))
+    return done.value
+
+
 def _results(prior: Belief, innovation: Tensor) -> tuple[Tensor, ...]:
     """Allocate memory for the results of an update, innovations first."""
     (batch, size), new = prior.mean.shape, innovation.new_empty
@@ -191,7 +240,7 @@ def _call(name: str, *arguments: Tensor | float) -> bool:
     return _done(name, *(a.data_ptr() if isinstance(a, Tensor) else a for a in arguments))
 
 
-def _done(name: str, batch: float, *arguments: float) -> bool:
+def _done(name: str, batch: float, *arguments: float | bytes) -> bool:
     """Call a function of the library with addresses; see `_call`."""
     found = library()
     assert found is not None
