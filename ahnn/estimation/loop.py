@@ -32,6 +32,20 @@ class StepModel(NamedTuple):
     sensor: SensorModel
 
 
+class RunPlan(NamedTuple):
+    """Steps of a run, for filters that look ahead.
+
+    Attributes:
+        rows: (B, T, M) measurements, NaN where a component is missing.
+        grid: the T time steps.
+        models: function that returns the models of step k, from 0.
+    """
+
+    rows: Tensor
+    grid: StepGrid
+    models: Callable[[int], StepModel]
+
+
 class FilterLoop(Protocol[M]):
     """Step function of one run."""
 
@@ -63,18 +77,9 @@ def stepper(kernel: Kernel, *, smoothing: bool) -> FilterLoop[FilterState]:
     return step
 
 
-def run(
-    before: M, rows: Tensor, grid: StepGrid, models: Callable[[int], StepModel], step: FilterLoop[M]
-) -> FilterResult:
-    """Filter rows (B, T, M) from a given state; arguments are already validated.
-
-    Args:
-        before: initial state.
-        rows: measurements, NaN where a component is missing.
-        grid: the T time steps.
-        models: function that returns the models of step k, from 0.
-        step: step function of the filter.
-    """
+def run(before: M, plan: RunPlan, step: FilterLoop[M]) -> FilterResult:
+    """Filter the rows of a plan from a given state; arguments are already validated."""
+    rows, grid, models = plan
     empty = rows.isnan().all(-1).all(0).tolist()
     after, records = before, []
     for k, (length, time) in enumerate(zip(*grid, strict=True)):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor
@@ -32,11 +32,11 @@ def collected(
     innovations = measurements.new_full(measurements.shape, torch.nan, dtype=torch.float64)
     nis = innovations.new_full(measurements.shape[:2], torch.nan)
     rejected = torch.zeros_like(nis, dtype=torch.bool)
-    for k, step in enumerate(steps):
-        if step.updated is not None and step.rejected is not None:
-            innovations[:, k] = step.updated.innovation
-            nis[:, k] = step.updated.nis
-            rejected[:, k] = step.rejected
+    if told := [k for k, step in enumerate(steps) if step.updated is not None]:
+        updates = [cast(Updated, steps[k].updated) for k in told]
+        innovations[:, told] = torch.stack([one.innovation for one in updates], dim=1).to(innovations)
+        nis[:, told] = torch.stack([one.nis for one in updates], dim=1).to(nis)
+        rejected[:, told] = torch.stack([cast(Tensor, steps[k].rejected) for k in told], dim=1)
     return FilterResult(
         initial=before.belief,
         means=_masked(torch.stack([s.posterior.mean for s in steps], dim=1), valid),

@@ -16,7 +16,7 @@ from ahnn.estimation.covariances import Covariance
 from ahnn.estimation.estimator import Batch, Kernel, SensorModel, Smoothed
 from ahnn.estimation.gate import Gate
 from ahnn.estimation.gaussian import GaussianFilter
-from ahnn.estimation.loop import FilterLoop
+from ahnn.estimation.loop import FilterLoop, RunPlan
 from ahnn.estimation.results import FilterResult, ProcessNoise
 from ahnn.estimation.state import FilterState
 from ahnn.estimation.step_runs import FollowedRows, StepRun
@@ -96,9 +96,9 @@ class UnscentedKalmanFilter(GaussianFilter):
         """Filter the first rows of a run; see `ahnn.estimation.step_runs.RunFilter`."""
         return library_runs.follow(state, self.kernel(state.belief), flow, run, sensor, most)
 
-    def stepper(self, kernel: Kernel, rows: Tensor, *, smoothing: bool) -> FilterLoop[FilterState]:
+    def stepper(self, kernel: Kernel, plan: RunPlan, *, smoothing: bool) -> FilterLoop[FilterState]:
         """Return the step function of a run, with fused steps if supported by the library."""
-        return WholeSteps(rows, cast(SigmaPoints, kernel), smoothing=smoothing)
+        return WholeSteps(plan, cast(SigmaPoints, kernel), smoothing=smoothing)
 
 
 @cache

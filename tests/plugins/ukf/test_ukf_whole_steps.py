@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from ahnn.estimation import Gate, Status, initial_belief
+from ahnn.estimation.loop import RunPlan
 from ahnn.measurements import Position, State
 from ahnn_plugins.ukf import SQUARE_ROOT, UnscentedParameters, unscented_filter
 from ahnn_plugins.ukf.library import library
@@ -164,4 +165,5 @@ def test_gradients_take_single_steps():
 
 
 def test_the_form_says_whether_there_are_whole_steps():
-    assert WholeSteps(rows(1), SigmaPoints(None, SQUARE_ROOT._replace(read=None))).possible == [False] * STEPS
+    kernel = SigmaPoints(None, SQUARE_ROOT._replace(read=None))
+    assert WholeSteps(RunPlan(rows(1), None, None), kernel).possible == [False] * STEPS
