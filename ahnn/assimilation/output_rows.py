@@ -122,11 +122,13 @@ class Rows:
         means = torch.stack([one.mean for one in estimates]) / self.scales
         covariances = torch.stack([one.covariance for one in estimates]) / self.scales.outer(self.scales)
         told = np.full((2, len(estimates), self.width), np.nan)
-        for name in dict.fromkeys(sensors):
-            own = [k for k, sensor in enumerate(sensors) if sensor == name]
+        for name in (names := dict.fromkeys(sensors)):
+            every = range(len(sensors))
+            own = [*every] if len(names) == 1 else [k for k in every if sensors[k] == name]
             for whole, parts in zip(told, ("residual", "deviation"), strict=True):
-                part = torch.cat([getattr(innovations[k], parts) for k in own])
-                whole[np.ix_(own, self.places.get(name, ()))] = part.numpy()
+                part = torch.cat([getattr(innovations[k], parts) for k in own]).numpy()
+                for place, column in zip(self.places.get(name, ()), part.T, strict=True):
+                    whole[own, place] = column
         more = [[*one.modes, *self._smoothed(one)] for one in estimates]
         triangles = covariances[:, list(rows), list(columns)].numpy()
         numbers = np.concatenate((means.numpy(), triangles, *told, np.array(more)), axis=1)

@@ -65,9 +65,11 @@ class Session(StreamSession):
     undated: bool = False
 
     @cached_property
-    def columns(self) -> tuple[str, ...]:
-        """Names of the numbers of all sensors."""
-        return tuple(dict.fromkeys(name for one in self.filter.sensors.values() for name in one.columns))
+    def parser(self) -> TableParser:
+        """Parser of lines, once their layout is known."""
+        assert self.layout is not None
+        columns = dict.fromkeys(name for one in self.filter.sensors.values() for name in one.columns)
+        return TableParser(self.layout, tuple(columns))
 
     def run(self, watch: Watcher | None = None) -> None:
         """Assimilate all lines of the stream.
@@ -115,8 +117,7 @@ class Session(StreamSession):
         fitted = sum(number <= self.fitted for number, _ in there)
         self.counts.update({"fitted": fitted} if fitted else {})
         there = there[fitted:]
-        parser = TableParser(self.layout, self.columns)
-        found = parser.readings([text for _, text in there])
+        found = self.parser.readings([text for _, text in there])
         return deque(ParsedLine(*line, reading) for line, reading in zip(there, found, strict=True))
 
     def _next(self, lines: deque[ParsedLine], made: MadeRows, watch: Watcher | None) -> None:

@@ -23,6 +23,8 @@ from ahnn.errors import UserError
 Column = Sequence[Any] | Array
 """The K cells of a column, as texts or numbers."""
 Mask = NDArray[np.bool_]
+FEW = 4
+"""Number of lines from which columns are faster than rows."""
 
 
 class ParsedLines(NamedTuple):
@@ -61,10 +63,11 @@ class TableParser:
         return self._of_columns(lines, columns, singly)
 
     def readings(self, texts: list[str]) -> list[Reading | None]:
-        """Parse lines of one object; None for an unusual one, left to `Layout.reading`."""
+        """Parse lines of one object; None for few lines and unusual ones, left to `Layout.reading`."""
         layout, found = self.layout, list[Reading | None]([None] * len(texts))
         steep = any(name.endswith(ELEVATION) for name in self.columns)
-        if layout.names is None or layout.controls or (steep and not layout.levelled):
+        few = len(texts) < FEW
+        if few or layout.names is None or layout.controls or (steep and not layout.levelled):
             return found
         columns, whole = self._split(texts)
         try:

@@ -52,7 +52,10 @@ class FilterLoop(Protocol[M]):
     def __call__(
         self, k: int, state: M, row: Tensor | None, model: StepModel, length: float, time: Tensor
     ) -> tuple[M, StepRecord]:
-        """Return the state after step k, which ends at `time`, and its record; the row may be None."""
+        """Return the state after step k, which ends at `time`, and its record; the row may be None.
+
+        A step function may do further steps of its plan: the state is that after all steps of the record.
+        """
         ...
 
 
@@ -72,7 +75,7 @@ def stepper(kernel: Kernel, *, smoothing: bool) -> FilterLoop[FilterState]:
         predicted, updated, rejected = after.belief, None, None
         if row is not None:
             after, updated, rejected = decisions.update(after, kernel, row, sensor)
-        return after, StepRecord(predicted, after.belief, updated, rejected, backward)
+        return after, StepRecord.of_one(predicted, after.belief, updated, rejected, backward)
 
     return step
 
@@ -81,9 +84,10 @@ def run(before: M, plan: RunPlan, step: FilterLoop[M]) -> FilterResult:
     """Filter the rows of a plan from a given state; arguments are already validated."""
     rows, grid, models = plan
     empty = rows.isnan().all(-1).all(0).tolist()
-    after, records = before, []
-    for k, (length, time) in enumerate(zip(*grid, strict=True)):
+    (lengths, times), after, records, k = grid, before, list[StepRecord](), 0
+    while k < len(lengths):
         row = None if empty[k] else rows[:, k]
-        after, record = step(k, after, row, models(k), length, time)
+        after, record = step(k, after, row, models(k), lengths[k], times[k])
         records.append(record)
+        k += record.length
     return collected(records, before, after, rows)

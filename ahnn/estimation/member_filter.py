@@ -102,9 +102,9 @@ class MemberFilter(ABC, Generic[M]):
         ) -> tuple[M, StepRecord]:
             before, law = self.predicted(state, model.flow, length, time, model.chol_q, smoothing=smoothing)
             if row is None:
-                return before, StepRecord(before.belief, before.belief, None, None, law)
+                return before, StepRecord.of_one(before.belief, before.belief, None, None, law)
             after, updated, rejected = self.updated(before, row, model.sensor)
-            return after, StepRecord(before.belief, after.belief, updated, rejected, law)
+            return after, StepRecord.of_one(before.belief, after.belief, updated, rejected, law)
 
         return step
 

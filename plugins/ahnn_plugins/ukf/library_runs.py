@@ -100,12 +100,12 @@ class DoneSteps(NamedTuple):
     """Steps that were done.
 
     Attributes:
-        count: their number n.
+        number: n, how many.
         results: memory of `members.results`, of which the first n steps are valid.
         points: (B, S, D) points after the flow of the step that was not done; None where they are unknown.
     """
 
-    count: int
+    number: int
     results: tuple[Tensor, ...]
     points: Tensor | None
 
@@ -154,7 +154,7 @@ def follow(
     starts = torch.tensor(run.starts, dtype=torch.float64).unbind() if clock_of(flow) else ()
     given = flow, starts, run.lengths, run.chol_q.unsqueeze(1), run.measured, run.rows.unsqueeze(1)
     done = done_steps(state, kernel.weights, RunSteps(*given, sensor, most))
-    ends = torch.tensor(run.measured[: done.count], dtype=torch.bool).nonzero()[:, 0]
+    ends = torch.tensor(run.measured[: done.number], dtype=torch.bool).nonzero()[:, 0]
     parts = (part[ends, 0] for part in done.results)
     _, _, residuals, means, chols, deviations, nis, log_likelihoods, _ = parts
     return FollowedRows(means, chols, residuals, deviations, nis, log_likelihoods)

@@ -139,11 +139,6 @@ def follow(
     return code, done.value
 
 
-def updated_of(results: tuple[Tensor, ...]) -> Updated:
-    """Return the update of a step from its results without the prediction."""
-    return _updated(True, results)
-
-
 def _results(prior: Belief, innovation: Tensor) -> tuple[Tensor, ...]:
     """Allocate memory for the results of an update, innovations first."""
     (batch, size), new = prior.mean.shape, innovation.new_empty
