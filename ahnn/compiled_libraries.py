@@ -17,7 +17,7 @@ import tempfile
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -41,6 +41,23 @@ LARGEST = 50_000_000
 """Size limit of a library in bytes; ours have about ten thousand."""
 PART = 2048
 """Number of states that justifies one more core."""
+
+
+class CompiledFlow(NamedTuple):
+    """Flow of time-independent dynamics as a C function, for loops in C.
+
+    Its type is `long (const void *about, long count, const double *x, double dt, double *out)`: it writes the
+    states (count, D) after a step dt from x to `out` and returns 0, with the same bits as the flow in Python.
+
+    Attributes:
+        function: address of the function.
+        about: address of its constants.
+        owners: objects that own the memory of both.
+    """
+
+    function: int
+    about: int
+    owners: tuple[Any, ...]
 
 
 def compiled_library(

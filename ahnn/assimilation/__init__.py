@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from ahnn.assimilation.catalogue import Catalogue
 from ahnn.assimilation.instrument_reading import Reading
-from ahnn.assimilation.online import Assimilation, Estimate
+from ahnn.assimilation.online import Assimilation
 from ahnn.assimilation.reading_table import CatalogueEstimates, ReadingTable
+from ahnn.assimilation.stream_estimate import Estimate
 from ahnn.assimilation.stream_sensor import StreamSensor
 from ahnn.estimation.process_model import Process
 

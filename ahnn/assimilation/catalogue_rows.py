@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from torch import Tensor
 
-from ahnn.assimilation.decimal_rows import decimal_rows
 from ahnn.assimilation.output_rows import Format, Rows
 from ahnn.assimilation.parquet_stream import packed_table
 from ahnn.assimilation.reading_table import Array, CatalogueEstimates, ReadingTable
@@ -63,29 +61,7 @@ class CatalogueRows(Rows):
         """Return the output of accepted readings as a batch; arguments as in `columns`."""
         if self.kind == "parquet":
             return packed_table(self.columns(lines, readings, found))
-        return self.text(lines, readings, found)
-
-    def text(self, lines: list[int], readings: ReadingTable, found: CatalogueEstimates) -> str:
-        """Return the text rows of accepted readings; arguments as in `columns`."""
-        table = self.columns(lines, readings, found)
-        if self.kind != "csv":
-            parts = [column if isinstance(column, list) else column.tolist() for column in table.values()]
-            rows = (dict(zip(self.names, row, strict=True)) for row in zip(*parts, strict=True))
-            plain = ({name: None if v != v else v for name, v in row.items()} for row in rows)
-            return "".join([json.dumps(row) + "\n" for row in plain])
-        line, objects, time, sensor, outcome, replayed, nis, dof, *numbers = table.values()
-        texts = (
-            map(str, line.tolist()),
-            objects,
-            decimal_rows(time[:, None]),
-            sensor,
-            outcome,
-            map(str, replayed.tolist()),
-            decimal_rows(nis[:, None]),
-            map(str, dof.tolist()),
-            decimal_rows(np.stack(numbers, axis=1)),
-        )
-        return "".join([",".join(cells) + "\n" for cells in zip(*texts, strict=True)])
+        return self.text(self.columns(lines, readings, found))
 
     def _numbers(self, found: CatalogueEstimates, chosen: Any) -> Array:
         """Return means, lower triangles of covariances, innovations and their deviations, (K, C)."""

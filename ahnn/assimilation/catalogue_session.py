@@ -93,8 +93,7 @@ class CatalogueSession(StreamSession):
                     raise UserError(message)
                 yield parser.of_columns(numbers, dict(zip(self.layout.names, columns, strict=True)))
             return
-        reader = iter(self.lines)
-        while texts := list(islice(reader, self.every)):
+        while texts := self.lines.table(self.every):
             first = self.lines.number - len(texts) + 1
             there = [(first + k, text) for k, text in enumerate(texts) if text and not text.startswith("#")]
             if not there:

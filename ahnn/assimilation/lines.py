@@ -6,14 +6,16 @@ import hashlib
 import io
 import sys
 from collections.abc import Iterator
-from typing import BinaryIO
+from typing import Any, BinaryIO, cast
 
 from ahnn.assimilation.journal import Journal
 from ahnn.errors import UserError
 
 LONGEST = 1 << 20
 """Maximum number of bytes of a line; longer lines are invalid and truncated."""
-CR = b"\r"
+CR, LF = b"\r", b"\n"
+SIZE = 1 << 16
+"""Number of bytes that are read at once, if there are so many."""
 
 
 class Lines:
@@ -35,12 +37,35 @@ class Lines:
         self.file = io.BufferedReader(stream) if isinstance(stream, Journal) else stream
         self.number = self.place = 0
         self._hash = hashlib.blake2b(digest_size=16)
-        self._end = b""
+        self._end, self._ahead = b"", b""
 
     def __iter__(self) -> Iterator[str]:
         """Yield lines without line terminators."""
-        while raw := self._next():
-            yield raw.decode("utf-8-sig", errors="replace").strip()
+        while texts := self.arrived(1):
+            yield texts[0]
+
+    def arrived(self, most: int) -> list[str]:
+        """Wait for a line; return it and those behind it that have arrived, at most so many; [] at the end.
+
+        Lines have no terminators.
+        """
+        while (not self._end or self._end not in self._ahead) and len(self._ahead) < LONGEST and self._read():
+            pass
+        if not self._ahead:
+            return []
+        if self._end not in self._ahead:
+            return [self._last()]
+        *lines, self._ahead = self._ahead.split(self._end, most)
+        whole = self._end.join((*lines, b""))
+        self._passed(whole, len(lines))
+        return [_text(line) for line in lines]
+
+    def table(self, count: int) -> list[str]:
+        """Return the next lines, fewer than so many only at the end of the stream."""
+        texts = list[str]()
+        while len(texts) < count and (more := self.arrived(count - len(texts))):
+            texts += more
+        return texts
 
     def begin(self) -> None:
         """Start at the first line."""
@@ -57,7 +82,7 @@ class Lines:
             self.journal.resume(place)
             self.number, self.place = number, place
             return
-        while self.number < number and self._next():
+        while self.number < number and self.arrived(number - self.number):
             pass
         if self.digest != digest:
             message = (
@@ -83,35 +108,32 @@ class Lines:
         if self.file is not sys.stdin.buffer:
             self.file.close()
 
-    def _next(self) -> bytes:
-        """Return the next line with its terminator, truncated if too long."""
-        self._end = self._end or end_of_lines(self.file)
-        raw = part = self._part()
-        while part:
-            self.place += len(part)
-            self._hash.update(part)
-            if len(part) < LONGEST or part.endswith(self._end):
-                self.number += 1
+    def _read(self) -> bool:
+        """Add the bytes that are there to those ahead, or wait for some; return whether there are any."""
+        more: bytes = cast(Any, self.file).read1(SIZE)
+        self._end = self._end or (CR if CR in more[:-1] and LF not in more else LF if more else b"")
+        self._ahead += more
+        return bool(more)
+
+    def _last(self) -> str:
+        """Pass a line that the stream ends with, or one that is too long, of which the beginning remains."""
+        text = _text(self._ahead)
+        while self._end not in self._ahead:
+            self._passed(self._ahead, 0)
+            self._ahead = b""
+            if not self._read():
                 break
-            part = self._part()
-        return raw
+        line, end, self._ahead = self._ahead.partition(self._end)
+        self._passed(line + end, 1)
+        return text
 
-    def _part(self) -> bytes:
-        """Read bytes up to the end of a line, at most `LONGEST`."""
-        if self._end == b"\n":
-            return self.file.readline(LONGEST)
-        found = b""
-        while not found.endswith(CR) and (ahead := ahead_of(self.file)[: LONGEST - len(found)]):
-            found += self.file.read(ahead.find(CR) + 1 or len(ahead))
-        return found
+    def _passed(self, content: bytes, lines: int) -> None:
+        """Count bytes and lines."""
+        self.place += len(content)
+        self.number += lines
+        self._hash.update(content)
 
 
-def end_of_lines(file: BinaryIO) -> bytes:
-    """Return the line terminator of a stream: CR if buffered bytes contain only CR."""
-    ahead = ahead_of(file)
-    return CR if CR in ahead[:-1] and b"\n" not in ahead else b"\n"
-
-
-def ahead_of(file: BinaryIO) -> bytes:
-    """Peek at the next bytes without consuming them; empty if not possible."""
-    return file.peek() if isinstance(file, io.BufferedReader) else b""
+def _text(line: bytes) -> str:
+    """Return the text of a line, truncated if too long."""
+    return line[:LONGEST].decode("utf-8-sig", errors="replace").strip()

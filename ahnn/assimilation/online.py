@@ -6,17 +6,19 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated
 
 import torch
 from torch import Tensor
 
 from ahnn.arguments import Count, Finite, Positive, Within, checked
 from ahnn.assimilation.cells import BadLine
-from ahnn.assimilation.fixed_lag import LaggedEstimate, smoothed_at
+from ahnn.assimilation.fixed_lag import smoothed_at
 from ahnn.assimilation.instrument_reading import Reading
 from ahnn.assimilation.late_readings import KeptReading, ReadingWindow
+from ahnn.assimilation.reading_runs import FollowedRun, ReadingRuns
 from ahnn.assimilation.stream_controls import StreamControls
+from ahnn.assimilation.stream_estimate import Estimate, Outcome, covariances
 from ahnn.assimilation.stream_models import FURTHEST, StreamModels
 from ahnn.assimilation.stream_sensor import StreamSensor
 from ahnn.controls import ControlTable
@@ -24,35 +26,6 @@ from ahnn.errors import UserError
 from ahnn.estimation import Belief, EstimatorState, Innovation, Status, load_notes, load_state, save_state
 from ahnn.estimation.gaussian import GaussianFilter
 from ahnn.estimation.process_model import Process, StepLaw
-
-Outcome = Literal["taken", "reopened", "rejected", "predicted", "repeated", "late", "ahead"]
-"""Outcome of a reading: accepted, accepted by a wider belief, rejected by the gate, empty, duplicate, too
-late, or too far ahead. The last three leave the estimate unchanged.
-"""
-
-
-class Estimate(NamedTuple):
-    """Estimate after a reading.
-
-    Attributes:
-        outcome: outcome of the reading.
-        time: time of the estimate and of the newest reading.
-        mean: (D,).
-        covariance: (D, D).
-        innovation: innovation of the reading; None if the estimate did not change.
-        replayed: number of later readings that were replayed.
-        modes: probabilities of the modes of interacting models; () for other filters.
-        smoothed: with a lag, the smoothed belief about the earlier time; None if unavailable.
-    """
-
-    outcome: Outcome
-    time: float
-    mean: Tensor
-    covariance: Tensor
-    innovation: Innovation | None
-    replayed: int = 0
-    modes: tuple[float, ...] = ()
-    smoothed: LaggedEstimate | None = None
 
 
 class Diverged(RuntimeError):
@@ -107,6 +80,7 @@ class Assimilation:
         with torch.inference_mode():
             self.models = StreamModels(process, sensors)
             self.errors, self.process = self.models.errors, self.models.process
+            self._runs = None if lag or self.controls.size else ReadingRuns(self.models, self.gap)
             self._factors = {
                 name: sensor.factor(None) for name, sensor in self.sensors.items() if sensor.deviations
             }
@@ -117,7 +91,6 @@ class Assimilation:
             # so that the first line does not wait for this preparation
             self.process.advanced(state, time, time + process.max_step, self.controls.trial)
 
-    @torch.inference_mode()
     def update(self, reading: Reading) -> Estimate:
         """Process a reading, merging a late one at its time, and return the estimate after it.
 
@@ -126,7 +99,31 @@ class Assimilation:
             BadLine: values that give no finite, precise estimate; the previous state is kept.
             Diverged: the filter has diverged; the state before the reading is kept.
         """
-        reading = self._named(reading)
+        return self.updates((reading,))[0]
+
+    @torch.inference_mode()
+    def updates(self, readings: Sequence[Reading]) -> list[Estimate]:
+        """Process the first reading, and those behind it that need no decision, with the bits of `update`.
+
+        Returns:
+            The estimates after the readings that were processed, at least one.
+
+        Raises:
+            UserError, BadLine, Diverged: the first reading, as in `update`.
+        """
+        first = self._named(readings[0])
+        run = self._runs and self._runs.followed(self.window, (first, *readings[1:]))
+        return self._of_run(run) if run else [self._of_one(first)]
+
+    def _of_run(self, run: FollowedRun) -> list[Estimate]:
+        """Return the estimates after a run, and keep its last readings."""
+        self.window = run.window(self.window, self.span, self.lines)
+        parts = run.rows.means[:, : self.size], covariances(run.rows.chols)[:, : self.size, : self.size]
+        rows = zip(run.readings, *(part.unbind() for part in parts), run.innovations, strict=True)
+        return [Estimate("taken", reading.time, *told) for reading, *told in rows]
+
+    def _of_one(self, reading: Reading) -> Estimate:
+        """Process one reading; raises as `update`."""
         now = self.window.time
         if reading.time > now + self.gap:
             return self._estimate("ahead")
@@ -279,10 +276,10 @@ class Assimilation:
         self, outcome: Outcome, innovation: Innovation | None = None, replayed: int = 0
     ) -> Estimate:
         mean, chol = self.window.state.moments
-        chol, time = chol[0, : self.size, : self.size], self.window.time
+        covariance, time = covariances(chol[0, : self.size, : self.size]), self.window.time
         smoothed = None if self.lag is None else smoothed_at(self.window, time - self.lag)
         told = innovation, replayed, self.modes, smoothed
-        return Estimate(outcome, time, mean[0, : self.size], chol @ chol.T, *told)
+        return Estimate(outcome, time, mean[0, : self.size], covariance, *told)
 
 
 def absurd_numbers(said: list[str], deviations: Sequence[float]) -> str:

@@ -5,27 +5,32 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import math
 import os
 import sys
-from collections.abc import Mapping
-from itertools import pairwise
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import groupby, pairwise
 from pathlib import Path
-from typing import Any, BinaryIO, Literal
+from typing import Any, BinaryIO, Literal, cast
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from ahnn.assimilation.decimal_rows import decimal_rows
 from ahnn.assimilation.fixed_lag import numbers_of
-from ahnn.assimilation.online import Estimate
 from ahnn.assimilation.stream_clock import StreamClock
+from ahnn.assimilation.stream_estimate import Estimate
 from ahnn.assimilation.stream_sensor import StreamSensor
 from ahnn.data.estimate_table import COVARIANCE, DATED, DEVIATION, FIRST, INNOVATION
 from ahnn.data.files.sidecar import Sidecar
 from ahnn.errors import UserError
+from ahnn.estimation import Innovation
 from ahnn.locks import lock
 
 Format = Literal["csv", "json", "parquet"]
+Column = list[str] | NDArray[Any]
+"""The K texts or numbers of a column."""
 TAIL = 1 << 14
 """Number of bytes at the end of an output whose hash is stored in the state."""
 
@@ -82,27 +87,56 @@ class Rows:
         """Return the first line of a table; empty for JSON."""
         return ",".join(self.names) + "\n" if self.kind == "csv" else ""
 
-    def row(self, line: int, sensor: str, estimate: Estimate) -> str:
-        """Return the line of an estimate."""
-        mean, told = (estimate.mean / self.scales).tolist(), estimate.innovation
-        covariance = (estimate.covariance / self.scales.outer(self.scales)).tolist()
-        innovation, deviation = [math.nan] * self.width, [math.nan] * self.width
-        assert told is not None
-        places = self.places.get(sensor, ())
-        parts = zip(places, told.residual[0].tolist(), told.deviation[0].tolist(), strict=True)
-        for place, residual, sd in parts:
-            innovation[place], deviation[place] = residual, sd
-        epoch = () if self.clock is None else (self.clock.epoch(estimate.time),)
-        values: list[Any] = [line, estimate.time, *epoch, sensor, estimate.outcome, estimate.replayed]
-        values += [float(told.nis), int(told.measured), *mean]
-        values += [covariance[i][j] for i, j in self.lower]
-        values += [*innovation, *deviation, *estimate.modes]
-        if self.smooths:
-            values += numbers_of(estimate.smoothed, self.scales)
-        if self.kind == "csv":
-            return ",".join(map(_cell, values)) + "\n"
-        plain = (None if isinstance(value, float) and math.isnan(value) else value for value in values)
-        return json.dumps(dict(zip(self.names, plain, strict=True))) + "\n"
+    def rows(self, lines: Sequence[int], sensors: Sequence[str], estimates: Sequence[Estimate]) -> str:
+        """Return the rows of estimates after readings of sensors, with their lines."""
+        return self.text(self._columns(lines, sensors, estimates))
+
+    def text(self, table: Mapping[str, Column]) -> str:
+        """Return the rows of columns by name."""
+        if self.kind != "csv":
+            parts = [column if isinstance(column, list) else column.tolist() for column in table.values()]
+            rows = (dict(zip(table, row, strict=True)) for row in zip(*parts, strict=True))
+            plain = ({name: None if v != v else v for name, v in row.items()} for row in rows)
+            return "".join([json.dumps(row) + "\n" for row in plain])
+        texts = list[Iterable[str]]()
+        for number, columns in groupby(table.values(), _is_real):
+            if number:
+                texts.append(decimal_rows(np.stack([np.asarray(column) for column in columns], axis=1)))
+                continue
+            texts += [column if isinstance(column, list) else map(str, column.tolist()) for column in columns]
+        return "".join([",".join(cells) + "\n" for cells in zip(*texts, strict=True)])
+
+    def _columns(
+        self, lines: Sequence[int], sensors: Sequence[str], estimates: Sequence[Estimate]
+    ) -> dict[str, Column]:
+        """Return the columns of estimates by name."""
+        innovations = [cast(Innovation, one.innovation) for one in estimates]
+        times = [one.time for one in estimates]
+        first: list[Column] = [np.array(lines, dtype=np.int64), np.array(times)]
+        first += [] if self.clock is None else [[self.clock.epoch(time) for time in times]]
+        first += [[*sensors], [str(one.outcome) for one in estimates]]
+        first += [np.array([one.replayed for one in estimates], dtype=np.int64)]
+        first += [np.array([float(one.nis) for one in innovations])]
+        first += [np.array([int(one.measured) for one in innovations], dtype=np.int64)]
+        rows, columns = zip(*self.lower, strict=True)
+        means = torch.stack([one.mean for one in estimates]) / self.scales
+        covariances = torch.stack([one.covariance for one in estimates]) / self.scales.outer(self.scales)
+        told = np.full((2, len(estimates), self.width), np.nan)
+        for name in (names := dict.fromkeys(sensors)):
+            every = range(len(sensors))
+            own = [*every] if len(names) == 1 else [k for k in every if sensors[k] == name]
+            for whole, parts in zip(told, ("residual", "deviation"), strict=True):
+                part = torch.cat([getattr(innovations[k], parts) for k in own]).numpy()
+                for place, column in zip(self.places.get(name, ()), part.T, strict=True):
+                    whole[own, place] = column
+        more = [[*one.modes, *self._smoothed(one)] for one in estimates]
+        triangles = covariances[:, list(rows), list(columns)].numpy()
+        numbers = np.concatenate((means.numpy(), triangles, *told, np.array(more)), axis=1)
+        return dict(zip(self.names, [*first, *numbers.T], strict=True))
+
+    def _smoothed(self, estimate: Estimate) -> list[float]:
+        """Return the numbers of the columns of a lag."""
+        return numbers_of(estimate.smoothed, self.scales) if self.smooths else []
 
     def wrote(self, text: str, line: int, *, begin: bool) -> bool:
         """Return whether a text consists of rows of lines after a number, the last possibly truncated.
@@ -138,13 +172,14 @@ class Rows:
             return -1
 
 
+def _is_real(column: Column) -> bool:
+    """Return whether a column consists of floating-point numbers."""
+    return isinstance(column, np.ndarray) and column.dtype.kind == "f"
+
+
 def digest(content: bytes) -> str:
     """Hash the end of an output."""
     return hashlib.blake2b(content, digest_size=16).hexdigest()
-
-
-def _cell(value: Any) -> str:
-    return "" if value != value else str(value)
 
 
 class Output:
@@ -201,7 +236,7 @@ class Output:
         return ""
 
     def write(self, text: str) -> None:
-        """Write a line and flush it."""
+        """Write rows and flush them."""
         content = text.encode()
         self.file.write(content)
         self.file.flush()

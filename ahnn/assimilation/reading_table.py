@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ahnn.assimilation.online import Outcome
+from ahnn.assimilation.stream_estimate import Outcome
 
 Fate = Outcome | Literal["bad", "lost", "unknown"]
 """Outcomes of a reading: as for one object, or no finite estimate, lost object, or unknown object."""

@@ -1,20 +1,27 @@
-"""Assimilation of a stream of one object, line by line."""
+"""Assimilation of a stream of one object, in blocks of the lines that have arrived."""
 
 from __future__ import annotations
 
 import logging
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
+from functools import cached_property
+from itertools import islice, takewhile
+from typing import NamedTuple, cast
 
 from ahnn.assimilation.cells import BadLine
 from ahnn.assimilation.instrument_reading import Reading
 from ahnn.assimilation.lines import Lines
-from ahnn.assimilation.online import Assimilation, Diverged, Estimate
+from ahnn.assimilation.online import Assimilation, Diverged
+from ahnn.assimilation.stream_estimate import Estimate
 from ahnn.assimilation.stream_session import StreamSession
+from ahnn.assimilation.table_parser import TableParser
 from ahnn.errors import TrainingError
 
 log = logging.getLogger("ahnn")
 
+TOGETHER = 512
+"""Most lines of a block, whose rows are written together."""
 FAR = 100
 """Steps of the model between an undated start and the first measurement that are worth a warning."""
 
@@ -26,6 +33,22 @@ WORDS = {
     "repeated": "was already processed: ignored",
     "ahead": "is further ahead than the largest gap allowed, from {now}: ignored",
 }
+
+
+class ParsedLine(NamedTuple):
+    """Number and text of a line, and its reading; None for an unusual line."""
+
+    number: int
+    text: str
+    reading: Reading | None
+
+
+class MadeRows(NamedTuple):
+    """Lines, sensors and estimates of the rows to write."""
+
+    lines: list[int]
+    sensors: list[str]
+    estimates: list[Estimate]
 
 
 class Session(StreamSession):
@@ -41,6 +64,13 @@ class Session(StreamSession):
     fitted: int = 0
     undated: bool = False
 
+    @cached_property
+    def parser(self) -> TableParser:
+        """Parser of lines, once their layout is known."""
+        assert self.layout is not None
+        columns = dict.fromkeys(name for one in self.filter.sensors.values() for name in one.columns)
+        return TableParser(self.layout, tuple(columns))
+
     def run(self, watch: Watcher | None = None) -> None:
         """Assimilate all lines of the stream.
 
@@ -54,56 +84,88 @@ class Session(StreamSession):
             self.close()
 
     def _run(self, watch: Watcher | None) -> None:
-        for text in self.lines:
-            if text and not text.startswith("#"):
-                self._line(text, watch)
+        while texts := self.lines.arrived(min(TOGETHER, self.every - self.counted % self.every)):
+            self._block(texts, watch)
             self._count()
             if self.counted % self.every == 0 and self.layout is not None:
                 self._save()
         self._end()
 
-    def _line(self, text: str, watch: Watcher | None) -> None:
-        number = self.lines.number
-        if self.layout is None:
-            self._begin(text)
-        assert self.layout is not None
-        assert self.output is not None
-        if self.layout.names and text == self.header:  # repeated header where tables are concatenated
-            return
-        if number <= self.fitted:
-            self.counts["fitted"] += 1
-            return
+    def _block(self, texts: list[str], watch: Watcher | None) -> None:
+        """Process lines, and write the rows of those that were, also of the lines before a failure."""
+        first = self.lines.number - len(texts) + 1
+        there = [(first + k, text) for k, text in enumerate(texts) if text and not text.startswith("#")]
+        if self.layout is None and there:
+            self._begin(there[0][1])
+        readings = self._readings(there)
+        made = MadeRows([], [], [])
         try:
-            reading = self.layout.reading(text)
-            self._warn_of_far(reading.time)
-            estimate = self.filter.update(reading)
+            while readings:
+                self._next(readings, made, watch)
+        finally:
+            if made.lines:
+                assert self.output is not None
+                self.output.write(self.rows.rows(*made))
+                self.written = True
+
+    def _readings(self, there: list[tuple[int, str]]) -> deque[ParsedLine]:
+        """Return the readings of numbered lines, without headers and what the start was fitted to."""
+        if self.layout is None:
+            return deque()
+        if self.layout.names:  # headers are repeated where tables are concatenated
+            there = [(number, text) for number, text in there if text != self.header]
+        fitted = sum(number <= self.fitted for number, _ in there)
+        self.counts.update({"fitted": fitted} if fitted else {})
+        there = there[fitted:]
+        found = self.parser.readings([text for _, text in there])
+        return deque(ParsedLine(*line, reading) for line, reading in zip(there, found, strict=True))
+
+    def _next(self, lines: deque[ParsedLine], made: MadeRows, watch: Watcher | None) -> None:
+        """Take the next lines that are processed at once from those of a block, at least one."""
+        number, text, reading = lines[0]
+        assert self.layout is not None
+        try:
+            first = self.layout.reading(text) if reading is None else reading
+            self._warn_of_far(first.time)
+            others = takewhile(lambda line: line.reading is not None, islice(lines, 1, None))
+            readings = [first, *(cast(Reading, line.reading) for line in others)]
+            estimates = self.filter.updates(readings)
         except BadLine as error:
+            lines.popleft()
             self.counts["bad"] += 1
             log.info("line %d: %s; skipped", number, error)
             return
         except Diverged as error:
             message = f"line {number}: {error}. Start over with another start, or more noise"
             raise TrainingError(message) from error
+        for reading, estimate in zip(readings, estimates, strict=False):
+            number = lines.popleft().number
+            if estimate.innovation is not None:
+                made.lines.append(number)
+                made.sensors.append(reading.sensor)
+                made.estimates.append(estimate)
+            self._tell(number, reading, estimate)
+            if watch is not None:
+                watch(number, reading, estimate, self.counts)
+
+    def _tell(self, number: int, reading: Reading, estimate: Estimate) -> None:
+        """Count an estimate, and report it unless it is usual."""
         self.counts[estimate.outcome] += 1
+        if estimate.outcome == "taken" and estimate.innovation is not None:
+            self.nis += float(estimate.innovation.nis)
+            self.numbers += int(estimate.innovation.measured)
+            return
         self.disordered += estimate.outcome == "late" and reading.time > self.filter.begun["time"]
         label = self._said(reading.time) + (f" of sensor {reading.sensor}" if reading.sensor else "")
         if estimate.innovation is None:
             word = WORDS[estimate.outcome].format(now=self._said(estimate.time))
             log.info("line %d: %s %s", number, label, word)
-        else:
-            self.output.write(self.rows.row(number, reading.sensor, estimate))
-            self.written = True
-            nis, dof = float(estimate.innovation.nis), int(estimate.innovation.measured)
-            if estimate.outcome == "rejected":
-                told = number, label, nis, dof
-                log.info("line %d: %s rejected, NIS %.3g for %d values", *told)
-            elif estimate.outcome == "reopened":
-                words = "reopened the gate after consecutive rejections; the covariance was enlarged"
-                log.info("line %d: %s %s", number, label, words)
-            elif dof:
-                self.nis, self.numbers = self.nis + nis, self.numbers + dof
-        if watch is not None:
-            watch(number, reading, estimate, self.counts)
+        elif estimate.outcome == "rejected":
+            told = number, label, float(estimate.innovation.nis), int(estimate.innovation.measured)
+            log.info("line %d: %s rejected, NIS %.3g for %d values", *told)
+        elif estimate.outcome == "reopened":
+            words = "reopened the gate after consecutive rejections; the covariance was enlarged"
+            log.info("line %d: %s %s", number, label, words)
 
     def _said(self, time: float) -> str:
         """Return a time for messages."""

@@ -1,4 +1,4 @@
-"""Parsing of lines or columns of many objects to reading tables, column-wise with a row-wise fallback.
+"""Parsing of lines or columns of objects to readings, column-wise with a row-wise fallback.
 
 `Layout` defines the meaning of a row. Rows of plain numbers, nearly all, are converted column by column, and
 unusual rows are passed to `Layout`.
@@ -18,10 +18,13 @@ from ahnn.assimilation.instrument_reading import Reading
 from ahnn.assimilation.line_parser import ELEVATION, RESERVED, SD, SENSOR, TIME, Layout
 from ahnn.assimilation.reading_table import Array, Places, ReadingTable
 from ahnn.data.files.table import is_number
+from ahnn.errors import UserError
 
 Column = Sequence[Any] | Array
 """The K cells of a column, as texts or numbers."""
 Mask = NDArray[np.bool_]
+FEW = 4
+"""Number of lines from which columns are faster than rows."""
 
 
 class ParsedLines(NamedTuple):
@@ -49,21 +52,49 @@ class TableParser:
 
     def of_lines(self, lines: list[int], texts: list[str]) -> ParsedLines:
         """Parse lines of text, without empty lines and comments."""
-        names = self.layout.names
-        if names is None:
+        if self.layout.names is None:
             return self._joined(lines, None, self._singly(lines, texts))
-        width, mark = len(names), self.layout.delimiter
-        cells = [text.split(mark) for text in texts]
-        odd = [len(row) != width or '"' in text for row, text in zip(cells, texts, strict=True)]
-        if any(odd):
-            chosen = [k for k, is_odd in enumerate(odd) if not is_odd]
-            others = [k for k, is_odd in enumerate(odd) if is_odd]
+        columns, whole = self._split(texts)
+        singly: tuple[list[Any], dict[int, str]] = [], {}
+        if len(whole) < len(texts):
+            others = sorted({*range(len(texts))}.difference(whole))
             singly = self._singly([lines[k] for k in others], [texts[k] for k in others])
-            lines, cells = [lines[k] for k in chosen], [cells[k] for k in chosen]
-        else:
-            singly = [], {}
-        columns: list[Column] = [*zip(*cells, strict=True)] if cells else [()] * width
-        return self._of_columns(lines, dict(zip(names, columns, strict=True)), singly)
+            lines = [lines[k] for k in whole]
+        return self._of_columns(lines, columns, singly)
+
+    def readings(self, texts: list[str]) -> list[Reading | None]:
+        """Parse lines of one object; None for few lines and unusual ones, left to `Layout.reading`."""
+        layout, found = self.layout, list[Reading | None]([None] * len(texts))
+        steep = any(name.endswith(ELEVATION) for name in self.columns)
+        few = len(texts) < FEW
+        if few or layout.names is None or layout.controls or (steep and not layout.levelled):
+            return found
+        columns, whole = self._split(texts)
+        try:
+            plain, table = self._at_once(columns, len(whole))
+        except UserError:
+            return found
+        times = table.times.tolist()
+        for number, (name, sensor) in enumerate(layout.sensors.items()):
+            own = [self.columns.index(column) for column in sensor.columns]
+            rows = np.flatnonzero(plain & (table.sensors == number))
+            values, deviations = (part[rows][:, own] for part in (table.values, table.deviations))
+            given = np.logical_not(np.isnan(deviations).all(1)).tolist()
+            parts = zip(rows.tolist(), values.tolist(), deviations.tolist(), given, strict=True)
+            for k, row, sds, has in parts:
+                found[whole[k]] = Reading(times[k], tuple(row), name, tuple(sds) if has else None)
+        return found
+
+    def _split(self, texts: list[str]) -> tuple[dict[str, Column], list[int]]:
+        """Return the columns of lines that have a cell for each name, without quotes, and their indices."""
+        names, mark = self.layout.names, self.layout.delimiter
+        assert names is not None
+        cells = [text.split(mark) for text in texts]
+        width, quoted = len(names), any('"' in text for text in texts)
+        whole = [k for k, row in enumerate(cells) if len(row) == width and not (quoted and '"' in texts[k])]
+        rows = cells if len(whole) == len(cells) else [cells[k] for k in whole]
+        columns: list[Column] = [*zip(*rows, strict=True)] if rows else [()] * width
+        return dict(zip(names, columns, strict=True)), whole
 
     def of_columns(self, lines: list[int], columns: dict[str, Column]) -> ParsedLines:
         """Parse named columns of texts or numbers."""
@@ -89,8 +120,10 @@ class TableParser:
         """Convert columns to readings, and return the mask of plain rows, (K,) bool."""
         layout, plain = self.layout, np.ones(count, dtype=bool)
         times = self._times(next(columns[key] for key in TIME if key in columns), plain)
-        objects = [str(cell).strip() for cell in columns[layout.objects]]
-        plain &= [not is_missing(name) and RESERVED.isdisjoint(name) for name in objects]
+        objects = [""] * count
+        if layout.objects:
+            objects = [str(cell).strip() for cell in columns[layout.objects]]
+            plain &= [not is_missing(name) and RESERVED.isdisjoint(name) for name in objects]
         sensors = self._sensors(columns, count)
         plain &= sensors >= 0
         shape = (count, len(self.columns))

@@ -11,7 +11,7 @@ from rich.live import Live
 from rich.table import Table
 
 from ahnn.assimilation.instrument_reading import Reading
-from ahnn.assimilation.online import Estimate
+from ahnn.assimilation.stream_estimate import Estimate
 from ahnn.estimation.consistency import band
 from ahnn.labels import momentum_unit
 from ahnn.types import Space

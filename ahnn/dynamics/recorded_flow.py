@@ -21,6 +21,7 @@ from torch.nn.utils import vector_to_parameters
 from ahnn.compiled_libraries import followed
 from ahnn.dynamics.base import Dynamics
 from ahnn.dynamics.fields import HamiltonianDynamics, NeuralDynamics
+from ahnn.dynamics.learned_flow import learned_flow
 from ahnn.dynamics.next_state import NextState
 from ahnn.dynamics.transition import transition
 from ahnn.integrators.explicit import ExplicitRungeKutta
@@ -37,11 +38,11 @@ _RECORDING = threading.Lock()
 
 
 def recorded(flow: Flow) -> Flow:
-    """Return an equivalent flow, to rounding, for one step length at a time and without gradients.
+    """Return an equivalent flow, in C or recorded, to rounding: for one step length and without gradients.
 
     Dynamics with data-dependent operations, and unknown functions, are returned unchanged.
     """
-    return _Recorded(flow) if is_fixed(flow) else flow
+    return learned_flow(flow) or (_Recorded(flow) if is_fixed(flow) else flow)
 
 
 def is_fixed(flow: Flow) -> bool:

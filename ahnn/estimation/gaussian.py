@@ -11,7 +11,7 @@ from torch import Tensor
 from ahnn.estimation import kernel as decisions
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.estimator import Batch, Kernel, SensorModel, Smoothed
-from ahnn.estimation.loop import FilterLoop, stepper
+from ahnn.estimation.loop import FilterLoop, RunPlan, stepper
 from ahnn.estimation.member_filter import MemberFilter
 from ahnn.estimation.results import Backward, FilterResult, Updated
 from ahnn.estimation.smoother import smoother
@@ -33,14 +33,14 @@ class GaussianFilter(MemberFilter[FilterState]):
     def kernel(self, belief: Belief) -> Kernel:
         """Return the kernel for beliefs of this shape, on this device."""
 
-    def stepper(self, kernel: Kernel, rows: Tensor, *, smoothing: bool) -> FilterLoop[FilterState]:
-        """Return the steps of a run over rows (B, T, M)."""
-        del rows
+    def stepper(self, kernel: Kernel, plan: RunPlan, *, smoothing: bool) -> FilterLoop[FilterState]:
+        """Return the steps of a run."""
+        del plan
         return stepper(kernel, smoothing=smoothing)
 
-    def steps(self, state: FilterState, rows: Tensor, *, smoothing: bool) -> FilterLoop[FilterState]:
-        """Return the steps of a run over rows (B, T, M), with one kernel for all."""
-        return self.stepper(self.kernel(state.belief), rows, smoothing=smoothing)
+    def steps(self, state: FilterState, plan: RunPlan, *, smoothing: bool) -> FilterLoop[FilterState]:
+        """Return the steps of a run, with one kernel for all."""
+        return self.stepper(self.kernel(state.belief), plan, smoothing=smoothing)
 
     def initial(self, belief: Belief, time: float) -> FilterState:
         """Return the state of a belief; raises ValueError for invalid kernel constants."""

@@ -32,13 +32,30 @@ class StepModel(NamedTuple):
     sensor: SensorModel
 
 
+class RunPlan(NamedTuple):
+    """Steps of a run, for filters that look ahead.
+
+    Attributes:
+        rows: (B, T, M) measurements, NaN where a component is missing.
+        grid: the T time steps.
+        models: function that returns the models of step k, from 0.
+    """
+
+    rows: Tensor
+    grid: StepGrid
+    models: Callable[[int], StepModel]
+
+
 class FilterLoop(Protocol[M]):
     """Step function of one run."""
 
     def __call__(
         self, k: int, state: M, row: Tensor | None, model: StepModel, length: float, time: Tensor
     ) -> tuple[M, StepRecord]:
-        """Return the state after step k, which ends at `time`, and its record; the row may be None."""
+        """Return the state after step k, which ends at `time`, and its record; the row may be None.
+
+        A step function may do further steps of its plan: the state is that after all steps of the record.
+        """
         ...
 
 
@@ -58,27 +75,19 @@ def stepper(kernel: Kernel, *, smoothing: bool) -> FilterLoop[FilterState]:
         predicted, updated, rejected = after.belief, None, None
         if row is not None:
             after, updated, rejected = decisions.update(after, kernel, row, sensor)
-        return after, StepRecord(predicted, after.belief, updated, rejected, backward)
+        return after, StepRecord.of_one(predicted, after.belief, updated, rejected, backward)
 
     return step
 
 
-def run(
-    before: M, rows: Tensor, grid: StepGrid, models: Callable[[int], StepModel], step: FilterLoop[M]
-) -> FilterResult:
-    """Filter rows (B, T, M) from a given state; arguments are already validated.
-
-    Args:
-        before: initial state.
-        rows: measurements, NaN where a component is missing.
-        grid: the T time steps.
-        models: function that returns the models of step k, from 0.
-        step: step function of the filter.
-    """
+def run(before: M, plan: RunPlan, step: FilterLoop[M]) -> FilterResult:
+    """Filter the rows of a plan from a given state; arguments are already validated."""
+    rows, grid, models = plan
     empty = rows.isnan().all(-1).all(0).tolist()
-    after, records = before, []
-    for k, (length, time) in enumerate(zip(*grid, strict=True)):
+    (lengths, times), after, records, k = grid, before, list[StepRecord](), 0
+    while k < len(lengths):
         row = None if empty[k] else rows[:, k]
-        after, record = step(k, after, row, models(k), length, time)
+        after, record = step(k, after, row, models(k), lengths[k], times[k])
         records.append(record)
+        k += record.length
     return collected(records, before, after, rows)

@@ -27,7 +27,7 @@ from ahnn.estimation.belief import Belief
 from ahnn.estimation.covariances import Covariance
 from ahnn.estimation.estimator import Batch, Innovation, SensorModel, Smoothed
 from ahnn.estimation.gate import Gate, check_gate
-from ahnn.estimation.loop import FilterLoop, StepModel, run
+from ahnn.estimation.loop import FilterLoop, RunPlan, StepModel, run
 from ahnn.estimation.results import Backward, FilterResult, ProcessNoise, Updated
 from ahnn.estimation.state import MemberState
 from ahnn.estimation.step_noise import StepGrid, process_factor
@@ -88,9 +88,9 @@ class MemberFilter(ABC, Generic[M]):
     def updated(self, state: M, y: Tensor, sensor: SensorModel) -> tuple[M, Updated, Tensor]:
         """Condition the state on a row (B, M); return state, update, and gate rejections, (B,) bool."""
 
-    def steps(self, state: M, rows: Tensor, *, smoothing: bool) -> FilterLoop[M]:
-        """Return the step function of a run over rows (B, T, M)."""
-        del state, rows
+    def steps(self, state: M, plan: RunPlan, *, smoothing: bool) -> FilterLoop[M]:
+        """Return the step function of a run."""
+        del state, plan
 
         def step(
             k: int,  # noqa: ARG001
@@ -102,9 +102,9 @@ class MemberFilter(ABC, Generic[M]):
         ) -> tuple[M, StepRecord]:
             before, law = self.predicted(state, model.flow, length, time, model.chol_q, smoothing=smoothing)
             if row is None:
-                return before, StepRecord(before.belief, before.belief, None, None, law)
+                return before, StepRecord.of_one(before.belief, before.belief, None, None, law)
             after, updated, rejected = self.updated(before, row, model.sensor)
-            return after, StepRecord(before.belief, after.belief, updated, rejected, law)
+            return after, StepRecord.of_one(before.belief, after.belief, updated, rejected, law)
 
         return step
 
@@ -221,7 +221,8 @@ class MemberFilter(ABC, Generic[M]):
             grid = StepGrid.of(dt, rows.shape[1], state.time)
             chol_q = process_factor(process_noise, state.belief)
             model = lambda k: StepModel(flow, chol_q(grid.lengths[k]), sensor)  # noqa: E731
-            return run(state, rows, grid, model, self.steps(state, rows, smoothing=smoothing))
+            plan = RunPlan(rows, grid, model)
+            return run(state, plan, self.steps(state, plan, smoothing=smoothing))
 
     def _begun(self, belief: Belief | M, start_time: float) -> M:
         """Return the initial state of a run."""

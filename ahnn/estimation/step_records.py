@@ -13,13 +13,44 @@ from ahnn.estimation.state import MemberState
 
 
 class StepRecord(NamedTuple):
-    """Record of one step: beliefs before and after the update, and the update, if any."""
+    """Record of n successive steps, of which single ones have a backward law.
+
+    Attributes:
+        predicted: beliefs before the updates, (n, B, ...).
+        posterior: beliefs after them.
+        innovation: (n, B, M) innovations, NaN where a step has no row; None if none has one.
+        nis: (n, B) normalised innovation squared, likewise.
+        rejected: (n, B) rejections by the gate, likewise.
+        backward: law of the step back, (B, D, D), if requested.
+    """
 
     predicted: Belief
     posterior: Belief
-    updated: Updated | None
+    innovation: Tensor | None
+    nis: Tensor | None
     rejected: Tensor | None
     backward: Backward | None
+
+    @classmethod
+    def of_one(
+        cls,
+        predicted: Belief,
+        posterior: Belief,
+        updated: Updated | None,
+        rejected: Tensor | None,
+        backward: Backward | None,
+    ) -> StepRecord:
+        """Build the record of one step from its beliefs (B, ...) and its update, if any."""
+        before, after = (Belief(*(part.unsqueeze(0) for part in belief)) for belief in (predicted, posterior))
+        if updated is None or rejected is None:
+            return cls(before, after, None, None, None, backward)
+        told = updated.innovation.unsqueeze(0), updated.nis.unsqueeze(0), rejected.unsqueeze(0)
+        return cls(before, after, *told, backward)
+
+    @property
+    def length(self) -> int:
+        """Number of steps n."""
+        return len(self.predicted.mean)
 
 
 def collected(
@@ -28,25 +59,21 @@ def collected(
     """Collect step records between two states into a result, NaN after the failure of a member."""
     present = ~torch.isnan(measurements)
     failed_step = torch.where(after.alive, -1, (after.failed_step - before.steps).clamp(min=0))
-    valid = _valid(after, failed_step, len(steps))
-    innovations = measurements.new_full(measurements.shape, torch.nan, dtype=torch.float64)
-    nis = innovations.new_full(measurements.shape[:2], torch.nan)
-    rejected = torch.zeros_like(nis, dtype=torch.bool)
-    for k, step in enumerate(steps):
-        if step.updated is not None and step.rejected is not None:
-            innovations[:, k] = step.updated.innovation
-            nis[:, k] = step.updated.nis
-            rejected[:, k] = step.rejected
+    valid = _valid(after, failed_step, measurements.shape[1])
+    blank = measurements.new_full(measurements.shape, torch.nan, dtype=torch.float64).transpose(0, 1)
+    nothing = torch.zeros_like(blank[..., 0], dtype=torch.bool)
+    innovations = _joined([(s.innovation, s.length) for s in steps], blank)
+    nis = _joined([(s.nis, s.length) for s in steps], blank[..., 0])
     return FilterResult(
         initial=before.belief,
-        means=_masked(torch.stack([s.posterior.mean for s in steps], dim=1), valid),
-        chols=_masked(torch.stack([s.posterior.chol for s in steps], dim=1), valid),
-        predicted_means=_masked(torch.stack([s.predicted.mean for s in steps], dim=1), valid),
-        predicted_chols=_masked(torch.stack([s.predicted.chol for s in steps], dim=1), valid),
+        means=_masked(_in_turn([s.posterior.mean for s in steps]), valid),
+        chols=_masked(_in_turn([s.posterior.chol for s in steps]), valid),
+        predicted_means=_masked(_in_turn([s.predicted.mean for s in steps]), valid),
+        predicted_chols=_masked(_in_turn([s.predicted.chol for s in steps]), valid),
         innovations=_masked(torch.where(present, innovations, torch.nan), valid),
         nis=_masked(torch.where(present.any(-1), nis, torch.nan), valid),
         measured=present.sum(-1),
-        rejected=rejected,
+        rejected=_joined([(s.rejected, s.length) for s in steps], nothing),
         log_likelihood=after.log_likelihood,
         status=after.status,
         failed_step=failed_step,
@@ -54,6 +81,16 @@ def collected(
         backward=_stacked([s.backward for s in steps if s.backward is not None]),
         state=after,
     )
+
+
+def _in_turn(parts: list[Tensor]) -> Tensor:
+    """Return records (n, B, ...) in the order of members, (B, T, ...)."""
+    return torch.cat(parts).transpose(0, 1).contiguous()
+
+
+def _joined(parts: list[tuple[Tensor | None, int]], blank: Tensor) -> Tensor:
+    """Return records of n steps as (B, T, ...), those of `blank`, (T, B, ...), for none."""
+    return _in_turn([blank[:count] if part is None else part.to(blank.dtype) for part, count in parts])
 
 
 def _valid(state: MemberState, failed_step: Tensor, steps: int) -> Tensor | None:

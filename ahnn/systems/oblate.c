@@ -61,3 +61,19 @@ long ahnn_oblate_steps(long batch, long stages, const double *drifts, const doub
     }
     return 0;
 }
+
+/* Constants of a flow in steps of any length, of which the longest undivided is `longest`. */
+typedef struct {
+    long stages;
+    const double *drifts, *kicks;
+    double mass, attraction, oblateness, longest;
+} oblate;
+
+/* The states (batch, 6) that follow from x after dt; equal steps, as substeps.py counts them. */
+long ahnn_oblate_flow(const oblate *of, long batch, const double *x, double dt, double *out) {
+    double parts = ceil(fabs(dt) / of->longest - 1e-9), h;
+    if (!(parts >= 1.0)) parts = 1.0;
+    h = dt / parts;
+    return ahnn_oblate_steps(batch, of->stages, of->drifts, of->kicks, of->mass, of->attraction, of->oblateness,
+                             (long)parts, x, &h, 0, out);
+}

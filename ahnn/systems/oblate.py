@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from ahnn.compiled_libraries import NUMBER as N
-from ahnn.compiled_libraries import PART, REAL, compiled_library, numbers_alone
+from ahnn.compiled_libraries import PART, REAL, CompiledFlow, compiled_library, numbers_alone
 from ahnn.compiled_libraries import POINTER as P
 from ahnn.cores import each, slices
 from ahnn.integrators import SymmetricComposition
@@ -37,9 +37,21 @@ class OblateAttraction(NamedTuple):
 @cache
 def library() -> ctypes.CDLL | None:
     """Return the C library, or None without a C compiler."""
-    signatures = {"ahnn_oblate_steps": (N, N, P, P, REAL, REAL, REAL, N, P, P, N, P)}
+    signatures = {
+        "ahnn_oblate_steps": (N, N, P, P, REAL, REAL, REAL, N, P, P, N, P),
+        "ahnn_oblate_flow": (P, N, P, REAL, P),
+    }
     source = Path(__file__).with_name("oblate.c")
     return compiled_library(source, signatures, "the data of orbits", vectors=True)
+
+
+class OblateConstants(ctypes.Structure):
+    """Constants of a flow, as in oblate.c."""
+
+    _fields_ = (
+        *(("stages", N), ("drifts", P), ("kicks", P)),
+        *(("mass", REAL), ("attraction", REAL), ("oblateness", REAL), ("longest", REAL)),
+    )
 
 
 class OblateFlow:
@@ -75,6 +87,17 @@ class OblateFlow:
                 out[own] = self._followed(x[own], h[own] / count, int(count))
             return out
         return self._followed(x, h / counts[0], int(counts[0]))
+
+    def as_compiled(self) -> CompiledFlow | None:
+        """Return the flow for loops in C, or None without a C compiler."""
+        found = library()
+        if found is None:
+            return None
+        own = len(self.kicks), self.drifts.data_ptr(), self.kicks.data_ptr(), *self.constants, self.longest
+        about = OblateConstants(*own)
+        function = ctypes.cast(found.ahnn_oblate_flow, P).value
+        assert function is not None
+        return CompiledFlow(function, ctypes.addressof(about), (found, about, self.drifts, self.kicks))
 
     def _followed(self, x: Tensor, h: Tensor, count: int) -> Tensor:
         """Propagate states (B, 6) over `count` steps of length h, () or (B,)."""

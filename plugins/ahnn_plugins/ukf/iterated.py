@@ -19,7 +19,7 @@ from ahnn.dynamics.flow_at_time import at
 from ahnn.estimation.argument_checks import checked_rows, checked_sensor
 from ahnn.estimation.belief import Belief, Status, choose
 from ahnn.estimation.consistency import deviations
-from ahnn.estimation.loop import StepModel, run, stepper
+from ahnn.estimation.loop import RunPlan, StepModel, run, stepper
 from ahnn.estimation.results import FilterResult, ProcessNoise, SmootherResult
 from ahnn.estimation.state import initial_state
 from ahnn.estimation.step_noise import StepGrid, process_factor
@@ -111,7 +111,7 @@ def iterated_smoother(
             )
 
         step = stepper(SigmaPoints(weights, SQUARE_ROOT), smoothing=True)
-        return unscented_smoother(run(begin, rows, grid, line, step))
+        return unscented_smoother(run(begin, RunPlan(rows, grid, line), step))
 
     current, change, count = _settled(_of(guess, there), relinearised, iterations)
     lost = change.new_full((batch,), torch.inf)

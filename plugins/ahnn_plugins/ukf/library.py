@@ -17,7 +17,10 @@ SIGNATURES = {
     "ahnn_joint": (N, N, N, P, P, N, P, N, P, P, N, P, N, P, P),
     "ahnn_condition": (N, N, N, P, P, P, P, N, P, P, P, P, P, P, P),
     "ahnn_read": (N, N, N, P, P, P, N, P, N, P, P, P, P, P, P, P),
-    "ahnn_whole": (N, N, N, P, P, P, P, N, P, N, P, P, N, R, P, P, P, P, P, P, P, P, P, P, P),
+    "ahnn_follow": (
+        *(N, N, N, N, P, P, P, P, P, P, P, N, P, N, N, P, P, N, R, P, P, P),
+        *(P, P, P, P, P, P, P, P, P, P),
+    ),
 }
 """Argument types of its functions: addresses and numbers."""
 

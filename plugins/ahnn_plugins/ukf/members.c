@@ -11,7 +11,7 @@ static const double LIMIT = 1e-3;
 static const double LOG_TWO_PI = 1.8378770664093453;
 
 /* What the functions return. */
-enum { SOUND, UNSOUND, NO_MEMORY };
+enum { SOUND, UNSOUND, NO_MEMORY, NO_FLOW };
 
 /* Sigma points (batch, 2 size + 1, size): the mean, and radius times the columns of the factor on both sides. */
 KERNEL long ahnn_draw(long batch, long size, const double *mean, const double *chol, long chol_step,
@@ -212,7 +212,7 @@ KERNEL long ahnn_read(long batch, long size, long width, const double *y, const 
 /* All of a step after the flow: the prediction, the posterior given the row y, unless that is null, and the sigma
    points of the next step. Sound if both are, no NIS is above the limit and no residual above half a period; else
    there are no further points. */
-long ahnn_whole(long batch, long size, long width, const double *points, const double *outer,
+static long whole_step(long batch, long size, long width, const double *points, const double *outer,
                 const double *recentring, const double *radius, long weight_step, const double *chol_q, long q_step, const double *y,
                 const double *chol_r, long r_step, double limit, const double *half, double *prior,
                 double *prior_chol, double *residuals, double *mean, double *chol, double *deviations, double *nis,
@@ -229,4 +229,32 @@ long ahnn_whole(long batch, long size, long width, const double *points, const d
     }
     if (told != SOUND) return told;
     return ahnn_draw(batch, size, y ? mean : prior, y ? chol : prior_chol, own, radius, weight_step, further);
+}
+
+/* States (count, size) that follow from x after a step dt; 0 where there are some. */
+typedef long flow(const void *about, long count, const double *x, double dt, double *out);
+
+/* A run of steps, each of the flow and of `whole_step`, from the sigma points `points` (batch, 2 size + 1, size) on.
+   Step k has the length dt[k], the process noise chol_q + k q_next, and ends with the next row of y where
+   `measured` is set. All results lie one step after the other. It ends before a step that is not sound, whose
+   points after the flow are in `moved` and those before it in `points`; `done` tells how many were sound. */
+long ahnn_follow(long batch, long size, long width, long steps, flow *propagate, const void *about, const double *dt,
+                 const unsigned char *measured, const double *outer, const double *recentring, const double *radius,
+                 long weight_step, const double *chol_q, long q_step, long q_next, const double *y,
+                 const double *chol_r, long r_step, double limit, const double *half, double *points, double *moved,
+                 double *prior, double *prior_chol, double *residuals, double *mean, double *chol, double *deviations,
+                 double *nis, double *log_likelihood, unsigned char *singular, long *done) {
+    long vector = batch * size, matrix = vector * size, row = batch * width;
+    for (*done = 0; *done < steps; ++*done) {
+        long k = *done;
+        if (propagate(about, batch * (2 * size + 1), points, dt[k], moved)) return NO_FLOW;
+        long told = whole_step(batch, size, width, moved, outer, recentring, radius, weight_step, chol_q + k * q_next,
+                               q_step, measured[k] ? y : NULL, chol_r, r_step, limit, half, prior + k * vector,
+                               prior_chol + k * matrix, residuals + k * row, mean + k * vector, chol + k * matrix,
+                               deviations + k * row, nis + k * batch, log_likelihood + k * batch,
+                               singular + k * batch, points);
+        if (told != SOUND) return told;
+        if (measured[k]) y += row;
+    }
+    return SOUND;
 }

@@ -6,18 +6,19 @@ operations dominated by overhead; here there are three or four.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import ctypes
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
-from ahnn.compiled_libraries import followed, plain
+from ahnn.compiled_libraries import CompiledFlow, followed, plain
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.results import Predicted, Updated
 from ahnn_plugins.ukf.library import library
 from ahnn_plugins.ukf.parameters import Residual, SigmaWeights
 
-SOUND, NO_MEMORY = 0, 2
+SOUND, UNSOUND, NO_MEMORY = 0, 1, 2
 """Return codes of the library's functions."""
 
 
@@ -80,80 +81,62 @@ def read(prior: Belief, y: Tensor, chol_r: Tensor) -> Updated:
     return _updated(_call("ahnn_read", *shapes, y, mean, chol, step, noise, noise_step, *results), results)
 
 
-class StepNoise(NamedTuple):
-    """Noise and limits of a step in the library's format.
+def results(steps: int, width: int, points: Tensor) -> tuple[Tensor, ...]:
+    """Allocate memory for S steps of members with points (B, 2 D + 1, D), and rows of M components.
 
-    Attributes:
-        process: address of the factor of the process noise, and the step between members.
-        measured: address and step of the factor of the measurement noise, the largest accepted NIS, and the
-            address of the half-periods.
-        tensors: tensors that own the memory.
+    Returns:
+        Means and factors of the predictions, innovations, means and factors of the posteriors, deviations,
+        NIS, log-likelihoods and flags of singular members, each (S, B, ...).
     """
-
-    process: tuple[int, int]
-    measured: tuple[int, int, float, int]
-    tensors: tuple[Tensor, ...]
-
-    @classmethod
-    def of(cls, chol_q: Tensor, chol_r: Tensor, limit: float, half: Tensor) -> StepNoise:
-        """Build the noise of a step.
-
-        Args:
-            chol_q: (B, D, D) lower factor of the process noise.
-            chol_r: (B, M, M) lower factor of the measurement noise.
-            limit: largest accepted NIS.
-            half: (M,) half-periods of the components, inf for non-angles; larger residuals are wrapped.
-        """
-        (q, q_step), (r, r_step) = _members(chol_q), _members(chol_r)
-        read = r.data_ptr(), r_step, limit, half.data_ptr()
-        return cls((q.data_ptr(), q_step), read, (q, r, half))
+    (batch, _, size), new = points.shape, points.new_empty
+    vector, matrix = (steps, batch, size), (steps, batch, size, size)
+    row, one = (steps, batch, width), (steps, batch)
+    floats = tuple(new(shape) for shape in (vector, matrix, row, vector, matrix, row, one, one))
+    return *floats, new(one, dtype=torch.bool)
 
 
-class Memory:
-    """Storage for the results of fused steps of a run.
+def follow(
+    flow: CompiledFlow,
+    lengths: Tensor,
+    measured: Sequence[bool],
+    rows: Tensor,
+    weights: SigmaWeights,
+    chol_q: Tensor,
+    chol_r: Tensor,
+    limit: float,
+    half: Tensor,
+    points: tuple[Tensor, Tensor],
+    results: tuple[Tensor, ...],
+) -> tuple[int, int]:
+    """Execute steps until one needs a decision; return the library's code, and how many are done.
 
     Args:
-        rows: (B, T, M) measurements.
-        size: dimension D.
+        flow: the process model.
+        lengths: (S,) lengths of the steps.
+        measured: S flags, whether a row is measured at the end of the step.
+        rows: (K, B, M) the rows, without missing components.
         weights: sigma point weights.
+        chol_q: (S or 1, B or 1, D, D) lower factors of the process noise.
+        chol_r: (B, M, M) lower factors of the measurement noise.
+        limit: largest accepted NIS.
+        half: (M,) half-periods of the components, inf for non-angles; larger residuals are wrapped.
+        points: (B, 2 D + 1, D) sigma points before the steps, overwritten, and memory for those
+            after the flow.
+        results: memory of `results`.
     """
-
-    def __init__(self, rows: Tensor, size: int, weights: SigmaWeights) -> None:
-        (batch, steps, width), new = rows.shape, rows.new_empty
-        self.rows, self.weights, self.shape = rows.transpose(0, 1).contiguous(), weights, (batch, size, width)
-        beliefs = [new(steps, batch, *((size,) * k)) for k in (1, 2, 1, 2)]
-        told = [new(steps, batch, width), new(steps, batch, width), new(steps, batch), new(steps, batch)]
-        singular = new(steps, batch, dtype=torch.bool)
-        parts = (*beliefs[:2], told[0], *beliefs[2:], *told[1:], singular)
-        kept = self.rows, *parts
-        self.places = [(part.data_ptr(), part[0].numel() * part.element_size()) for part in kept]
-        self.steps = list(zip(*(part.unbind() for part in parts), strict=True))
-        scales = weights.outer, weights.recentring, weights.radius
-        self.scales = *(scale.data_ptr() for scale in scales), _step(weights.outer)
-
-    def step(self, k: int, points: Tensor, noise: StepNoise, *, measured: bool) -> Tensor | None:
-        """Execute `predict`, `read` and `draw` in sequence.
-
-        Args:
-            k: step index.
-            points: (B, S, D) sigma points after the flow.
-            noise: noise of the step.
-            measured: whether there is a complete row.
-
-        Returns:
-            The sigma points of the next step; None if a member is invalid.
-        """
-        points = points.contiguous()
-        further = torch.empty_like(points)
-        row, *places = [place + k * length for place, length in self.places]
-        read = row if measured else 0, *noise.measured
-        own = points.data_ptr(), *self.scales, *noise.process, *read, *places, further.data_ptr()
-        return further if _done("ahnn_whole", *self.shape, *own) else None
-
-    def made(self, k: int) -> tuple[Belief, Updated]:
-        """Return prediction and update of step k."""
-        mean, chol, *results = self.steps[k]
-        return Belief(mean, chol), _updated(True, tuple(results))
+    (before, moved), done = points, ctypes.c_long(0)
+    (batch, _, size), rows = before.shape, rows.contiguous()
+    noise, noise_step = _members(chol_r)
+    if chol_q.stride()[2:] != (size, 1):
+        chol_q = chol_q.contiguous()
+    q_next, q_step = (chol_q.stride(k) if chol_q.shape[k] > 1 else 0 for k in range(2))
+    scales = (weights.outer, weights.recentring, weights.radius)
+    fixed = batch, size, rows.shape[-1], len(measured), flow.function, flow.about, lengths.data_ptr()
+    own = bytes(measured), *(scale.data_ptr() for scale in scales), _step(weights.outer)
+    given = chol_q.data_ptr(), q_step, q_next, rows.data_ptr(), noise.data_ptr(), noise_step, limit
+    places = half.data_ptr(), before.data_ptr(), moved.data_ptr(), *(part.data_ptr() for part in results)
+    code = _called("ahnn_follow", *fixed, *own, *given, *places, ctypes.addressof(done))
+    return code, done.value
 
 
 def _results(prior: Belief, innovation: Tensor) -> tuple[Tensor, ...]:
@@ -188,15 +171,15 @@ def _call(name: str, *arguments: Tensor | float) -> bool:
     Raises:
         MemoryError: no memory for a block of members.
     """
-    return _done(name, *(a.data_ptr() if isinstance(a, Tensor) else a for a in arguments))
+    return _called(name, *(a.data_ptr() if isinstance(a, Tensor) else a for a in arguments)) == SOUND
 
 
-def _done(name: str, batch: float, *arguments: float) -> bool:
-    """Call a function of the library with addresses; see `_call`."""
+def _called(name: str, batch: float, *arguments: float | bytes) -> int:
+    """Call a function of the library with addresses, and return its code; see `_call`."""
     found = library()
     assert found is not None
     told = getattr(found, name)(batch, *arguments)
     if told == NO_MEMORY:
         message = f"filter: not enough memory for {batch} members"
         raise MemoryError(message)
-    return told == SOUND
+    return told

@@ -13,15 +13,17 @@ from torch import Tensor
 from ahnn.errors import UserError
 from ahnn.estimation.belief import Belief, Status
 from ahnn.estimation.covariances import Covariance
-from ahnn.estimation.estimator import Batch, Kernel, Smoothed
+from ahnn.estimation.estimator import Batch, Kernel, SensorModel, Smoothed
 from ahnn.estimation.gate import Gate
 from ahnn.estimation.gaussian import GaussianFilter
-from ahnn.estimation.loop import FilterLoop
+from ahnn.estimation.loop import FilterLoop, RunPlan
 from ahnn.estimation.results import FilterResult, ProcessNoise
 from ahnn.estimation.state import FilterState
+from ahnn.estimation.step_runs import FollowedRows, StepRun
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import Numbers
 from ahnn.types import Flow
+from ahnn_plugins.ukf import library_runs
 from ahnn_plugins.ukf.iterated import iterated_smoother
 from ahnn_plugins.ukf.parameters import Form, SigmaWeights, UnscentedParameters
 from ahnn_plugins.ukf.sigma_points import unscented_weights
@@ -88,9 +90,15 @@ class UnscentedKalmanFilter(GaussianFilter):
             return SigmaPoints(unscented_weights(self.parameters, size, device, batch=batch), self.form)
         return SigmaPoints(_weights_of_numbers(self.parameters, size, device), self.form)
 
-    def stepper(self, kernel: Kernel, rows: Tensor, *, smoothing: bool) -> FilterLoop[FilterState]:
+    def follow(
+        self, state: FilterState, flow: Flow, run: StepRun, sensor: SensorModel, most: float
+    ) -> FollowedRows | None:
+        """Filter the first rows of a run; see `ahnn.estimation.step_runs.RunFilter`."""
+        return library_runs.follow(state, self.kernel(state.belief), flow, run, sensor, most)
+
+    def stepper(self, kernel: Kernel, plan: RunPlan, *, smoothing: bool) -> FilterLoop[FilterState]:
         """Return the step function of a run, with fused steps if supported by the library."""
-        return WholeSteps(rows, cast(SigmaPoints, kernel), smoothing=smoothing)
+        return WholeSteps(plan, cast(SigmaPoints, kernel), smoothing=smoothing)
 
 
 @cache

@@ -1,104 +1,106 @@
 """Fused filter steps in one library call, for steps without decisions.
 
-If complete rows of the first state components are measured and accepted by all members, only prediction,
-posterior and sigma points are needed between two calls of the flow. The same functions are used as for single
-steps: results are bitwise identical.
+If complete rows of the first state components are measured and accepted by all members, only flow,
+prediction, posterior and sigma points are needed. The same functions are used as for single steps: results
+are bitwise identical.
 """
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor
 
-from ahnn.dynamics.flow_at_time import at
 from ahnn.estimation.belief import Belief
-from ahnn.estimation.estimator import SensorModel
-from ahnn.estimation.kernel import propagate, taken
-from ahnn.estimation.loop import StepModel, stepper
+from ahnn.estimation.loop import RunPlan, StepModel, stepper
 from ahnn.estimation.state import FilterState
 from ahnn.estimation.step_records import StepRecord
-from ahnn.measurements import periods
-from ahnn_plugins.ukf import members
-from ahnn_plugins.ukf.sigma_points import draw
-from ahnn_plugins.ukf.unscented_kernel import READINGS, SigmaPoints
+from ahnn_plugins.ukf.library_runs import RunSteps, done_steps, supported
+from ahnn_plugins.ukf.unscented_kernel import SigmaPoints
+
+FIRST, MOST = 32, 256
+"""Steps of the first library call, and most steps of one; after a call without a decision twice as many."""
 
 
 class WholeSteps:
-    """Steps of one run, with the pending sigma points.
+    """Steps of one run, with those done ahead.
 
     Args:
-        rows: (B, T, M) measurements of the run.
+        plan: the run.
         kernel: kernel for the other steps.
         smoothing: whether to keep the laws of a smoother, unsupported by fused steps.
     """
 
-    def __init__(self, rows: Tensor, kernel: SigmaPoints, *, smoothing: bool = False) -> None:
+    def __init__(self, plan: RunPlan, kernel: SigmaPoints, *, smoothing: bool = False) -> None:
         weights, form, _ = kernel
-        missing = torch.isnan(rows).transpose(0, 1).flatten(1)
-        self.whole, self.empty = (~missing.any(1)).tolist(), missing.all(1).tolist()
+        missing = torch.isnan(plan.rows).transpose(0, 1).flatten(1)
+        self.whole, empty = (~missing.any(1)).tolist(), missing.all(1).tolist()
         known = not smoothing and form.read is not None and weights.crowding is None
-        self.possible = [known and (a or b) for a, b in zip(self.whole, self.empty, strict=True)]
-        self.rows, self.weights, self.kernel, self.smoothing = rows, weights, kernel, smoothing
-        self.memory: members.Memory | None = None
-        self.further: tuple[Belief, Tensor] | None = None
-        self.seen: tuple[object, object, object] = None, None, None  # objects last checked by `_knows`
-        self.noise: members.StepNoise | None = None  # result of that check
+        self.possible = [known and (a or b) for a, b in zip(self.whole, empty, strict=True)]
+        self.plan, self.kernel, self.smoothing = plan, kernel, smoothing
+        self.rows = plan.rows.transpose(0, 1)
+        self.ahead = FIRST
+        self.points: Tensor | None = None  # after the flow of a step that is not whole
 
     def __call__(
         self, k: int, state: FilterState, row: Tensor | None, model: StepModel, length: float, time: Tensor
     ) -> tuple[FilterState, StepRecord]:
-        """Return the state after step k, fused or not, and its record."""
-        points = propagate(at(model.flow, state.time), self.points(state), length)
-        done = self.step(k, state, points, time, model.chol_q, model.sensor)
+        """Return the state after step k, or after several if they are whole, and the record."""
+        done = self.steps(k, state, model)
         if done is None:
+            points, self.points = self.points, None
             single = stepper(self.kernel._replace(points=points), smoothing=self.smoothing)
             done = single(k, state, row, model, length, time)
         return done
 
-    def points(self, state: FilterState) -> Tensor:
-        """Return the sigma points (B, S, D) of a state, possibly drawn by the previous step."""
-        if self.further is not None and self.further[0] is state.belief:
-            return self.further[1]
-        return draw(state.belief, self.weights)
-
-    def step(
-        self, k: int, state: FilterState, points: Tensor, time: Tensor, chol_q: Tensor, sensor: SensorModel
-    ) -> tuple[FilterState, StepRecord] | None:
-        """Return the state after step k from the points (B, S, D) after the flow, and its record.
+    def steps(self, k: int, state: FilterState, model: StepModel) -> tuple[FilterState, StepRecord] | None:
+        """Return the state after step k and those behind it that are whole, and the record.
 
         Returns:
-            None if the step is unsupported by the library, or some result is invalid.
+            None if step k is unsupported by the library, or some result is invalid.
         """
-        if not self.possible[k] or not self._knows(state, points, chol_q, sensor):
+        given = self.kernel, model.sensor, model.chol_q, self.rows
+        if not self.possible[k] or not supported(state, *given):
             return None
-        if self.memory is None:
-            self.memory = members.Memory(self.rows, points.shape[-1], self.weights)
-        assert self.noise is not None
-        whole = self.whole[k]
-        further = self.memory.step(k, points, self.noise, measured=whole)
-        if further is None:
+        lengths, times = self.plan.grid
+        end = k + 1
+        while end < min(k + self.ahead, len(lengths)) and self.possible[end] and self._alike(end, model):
+            end += 1
+        measured = self.whole[k:end]
+        starts, steps = [state.time, *times[k : end - 1]], torch.tensor(lengths[k:end], dtype=torch.float64)
+        own = model.flow, starts, steps, model.chol_q[None], measured, self.rows[k:end][measured]
+        count, results, self.points = done_steps(state, self.kernel.weights, RunSteps(*own, model.sensor))
+        self.ahead = min(2 * self.ahead, MOST) if count == end - k else max(1, count)
+        if not count:
             return None
-        predicted, updated = self.memory.made(k)
-        after = FilterState(predicted, time, state.steps + 1, *state[3:])
-        after = taken(after, updated) if whole else after
-        self.further = after.belief, further
-        rejected = torch.zeros_like(updated.singular)
-        told = (updated, rejected) if whole else (None, None)
-        return after, StepRecord(predicted, after.belief, *told, None)
+        return _recorded(
+            state, tuple(part[:count] for part in results), measured[:count], times[k + count - 1]
+        )
 
-    def _knows(self, state: FilterState, points: Tensor, chol_q: Tensor, sensor: SensorModel) -> bool:
-        """Return whether the library supports this step, and all members are active."""
-        status, q, told = self.seen
-        if not (status is state.status and q is chol_q and told is sensor):
-            read = type(sensor.measurement) in READINGS and self.rows.shape[-1] <= points.shape[-1]
-            if not read or bool(state.status.any()):
-                return False
-            if not members.apply_to(self.weights, chol_q, sensor.chol_r, self.rows):
-                return False
-            self.seen = state.status, chol_q, sensor
-            limit = math.inf if sensor.thresholds is None else float(sensor.thresholds[-1])
-            half = 0.5 * self.rows.new_tensor(periods(sensor.measurement))
-            self.noise = members.StepNoise.of(chol_q, sensor.chol_r, limit, half)
-        return members.apply_to(self.weights, points)
+    def _alike(self, k: int, model: StepModel) -> bool:
+        """Return whether a step has the models of another."""
+        other = self.plan.models(k)
+        return all(a is b for a, b in zip(other, model, strict=True))
+
+
+def _recorded(
+    state: FilterState, results: tuple[Tensor, ...], measured: list[bool], time: Tensor
+) -> tuple[FilterState, StepRecord]:
+    """Return the state after n steps, which end at `time`, and their record."""
+    prior, prior_chol, innovation, mean, chol, _, nis, log_likelihoods, _ = results
+    rejections, log_likelihood = state.rejections, state.log_likelihood
+    if not all(measured):
+        still = torch.tensor([not one for one in measured])
+        mean[still], chol[still], innovation[still], nis[still] = (
+            prior[still],
+            prior_chol[still],
+            torch.nan,
+            torch.nan,
+        )
+        log_likelihoods = log_likelihoods[~still]
+    if any(measured):
+        rejections = torch.zeros_like(rejections)
+        log_likelihood = torch.cat((log_likelihood[None], log_likelihoods)).cumsum(0)[-1]
+    own = state.status, state.failed_step, rejections, state.repairs, log_likelihood
+    after = FilterState(Belief(mean[-1], chol[-1]), time, state.steps + len(measured), *own)
+    rejected = torch.zeros_like(nis, dtype=torch.bool)
+    return after, StepRecord(Belief(prior, prior_chol), Belief(mean, chol), innovation, nis, rejected, None)

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from ahnn.estimation import Gate, Status, initial_belief
+from ahnn.estimation.loop import RunPlan
 from ahnn.measurements import Position, State
 from ahnn_plugins.ukf import SQUARE_ROOT, UnscentedParameters, unscented_filter
 from ahnn_plugins.ukf.library import library
@@ -30,19 +31,19 @@ def both(monkeypatch):
         belief = initial_belief(torch.linspace(-1, 1, 2 * len(rows)).reshape(-1, 2), 0.1 * torch.eye(2))
         noise = [lambda dt: dt * 1e-4 * torch.eye(2), 0.04 * torch.eye(rows.shape[-1])]
         arguments = (belief, rows, measurement, *noise, options.pop("dt", 0.1))
-        step, done = WholeSteps.step, []
+        step, done = WholeSteps.steps, []
 
         def counted(*given):
             done.append(step(*given))
             return done[-1]
 
         with monkeypatch.context() as patch:
-            patch.setattr(WholeSteps, "step", counted)
+            patch.setattr(WholeSteps, "steps", counted)
             ours = unscented_filter(flow, *arguments, **options)
         with monkeypatch.context() as patch:
-            patch.setattr(WholeSteps, "step", lambda *_: None)
+            patch.setattr(WholeSteps, "steps", lambda *_: None)
             single = unscented_filter(flow, *arguments, **options)
-        return ours, single, sum(found is not None for found in done)
+        return ours, single, sum(found[1].length for found in done if found is not None)
 
     return run
 
@@ -164,4 +165,5 @@ def test_gradients_take_single_steps():
 
 
 def test_the_form_says_whether_there_are_whole_steps():
-    assert WholeSteps(rows(1), SigmaPoints(None, SQUARE_ROOT._replace(read=None))).possible == [False] * STEPS
+    kernel = SigmaPoints(None, SQUARE_ROOT._replace(read=None))
+    assert WholeSteps(RunPlan(rows(1), None, None), kernel).possible == [False] * STEPS

@@ -1,0 +1,46 @@
+"""Estimates of a stream."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+from torch import Tensor
+
+from ahnn.assimilation.fixed_lag import LaggedEstimate
+from ahnn.estimation import Innovation
+
+Outcome = Literal["taken", "reopened", "rejected", "predicted", "repeated", "late", "ahead"]
+"""Outcome of a reading: accepted, accepted by a wider belief, rejected by the gate, empty; or it
+was there already, it came too late, or it lies too far ahead. The last three leave the estimate as it was."""
+
+
+class Estimate(NamedTuple):
+    """Estimate after a reading.
+
+    Attributes:
+        outcome: of the reading.
+        time: time of the estimate, that of the newest reading.
+        mean: (D,).
+        covariance: (D, D).
+        innovation: innovation of the reading; None if the estimate did not change.
+        replayed: readings that came before it and are later than it.
+        modes: probabilities of the modes of interacting models; of other filters there are none.
+        smoothed: with a lag, the belief about the time that much earlier; None if unavailable.
+    """
+
+    outcome: Outcome
+    time: float
+    mean: Tensor
+    covariance: Tensor
+    innovation: Innovation | None
+    replayed: int = 0
+    modes: tuple[float, ...] = ()
+    smoothed: LaggedEstimate | None = None
+
+
+def covariances(chol: Tensor) -> Tensor:
+    """Return covariances (..., D, D) of factors; of one factor the same bits as of one of many."""
+    total, *others = [part.unsqueeze(-1) * part.unsqueeze(-2) for part in chol.unbind(-1)]
+    for other in others:
+        total = total + other
+    return total

@@ -1,0 +1,73 @@
+"""Runs of steps of one member, filtered at once while no step needs a decision."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol, runtime_checkable
+
+from torch import Tensor
+
+from ahnn.estimation.estimator import SensorModel
+from ahnn.estimation.state import FilterState
+from ahnn.types import Flow
+
+
+class StepRun(NamedTuple):
+    """S steps of one member, of which K end with a measured row.
+
+    Attributes:
+        starts: S times at which steps begin.
+        lengths: (S,) their lengths.
+        chol_q: (S, D, D) factors of the process noise.
+        measured: S flags, whether a row is measured at the end of the step.
+        rows: (K, M) rows without missing components.
+    """
+
+    starts: list[float]
+    lengths: Tensor
+    chol_q: Tensor
+    measured: list[bool]
+    rows: Tensor
+
+
+class FollowedRows(NamedTuple):
+    """Results of the first n rows of a run.
+
+    Attributes:
+        means: (n, D) posterior means.
+        chols: (n, D, D) lower factors of the posterior covariances.
+        residuals: (n, M) innovations.
+        deviations: (n, M) their standard deviations.
+        nis: (n,) normalised innovation squared.
+        log_likelihoods: (n,) log predictive densities of the rows.
+    """
+
+    means: Tensor
+    chols: Tensor
+    residuals: Tensor
+    deviations: Tensor
+    nis: Tensor
+    log_likelihoods: Tensor
+
+
+@runtime_checkable
+class RunFilter(Protocol):
+    """Estimator that filters runs of steps at once."""
+
+    def follow(
+        self, state: FilterState, flow: Flow, run: StepRun, sensor: SensorModel, most: float
+    ) -> FollowedRows | None:
+        """Filter the first rows of a run, with the same bits as `predict` and `update` step by step.
+
+        It ends before the first row that single steps would not simply accept.
+
+        Args:
+            state: state of one member before the run.
+            flow: the process model.
+            run: steps and rows.
+            sensor: measurement model of the rows.
+            most: NIS above which a row needs a decision, whatever the gate.
+
+        Returns:
+            None where runs are not supported.
+        """
+        ...

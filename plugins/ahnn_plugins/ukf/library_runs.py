@@ -1,0 +1,160 @@
+"""Runs of filter steps in one library call, which calls the flow: in C, or back in torch."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ahnn.compiled_libraries import NUMBER as N
+from ahnn.compiled_libraries import PART, CompiledFlow
+from ahnn.compiled_libraries import POINTER as P
+from ahnn.compiled_libraries import REAL as R
+from ahnn.dynamics.flow_at_time import at
+from ahnn.estimation.estimator import SensorModel
+from ahnn.estimation.kernel import propagate
+from ahnn.estimation.state import FilterState
+from ahnn.estimation.step_runs import FollowedRows, StepRun
+from ahnn.measurements import periods
+from ahnn.rollouts import clock_of
+from ahnn.types import Flow
+from ahnn_plugins.ukf import members
+from ahnn_plugins.ukf.parameters import SigmaWeights
+from ahnn_plugins.ukf.sigma_points import draw
+from ahnn_plugins.ukf.unscented_kernel import READINGS, SigmaPoints
+
+CALLED = ctypes.CFUNCTYPE(N, P, N, P, R, P)
+"""Type of a flow that the library calls."""
+
+
+class CalledFlow:
+    """Flow in torch, called by the library step by step on points in fixed memory.
+
+    Args:
+        flow: the process model.
+        starts: times at which the steps begin.
+        weights: sigma point weights.
+        points: (B, S, D) sigma points before a step.
+        moved: (B, S, D) sigma points after it.
+
+    Attributes:
+        left: (B, S, D) points that the library cannot take, such as those with a gradient.
+        interrupt: what ended a call other than an error of the flow, which a single step raises again.
+    """
+
+    def __init__(
+        self, flow: Flow, starts: Sequence[Tensor], weights: SigmaWeights, points: Tensor, moved: Tensor
+    ) -> None:
+        self.flow, self.weights, self.points, self.moved = flow, weights, points, moved
+        self.timed, self.starts = bool(clock_of(flow)), iter(starts)
+        self.left: Tensor | None = None
+        self.interrupt: BaseException | None = None
+
+    def __call__(self, about: int, count: int, x: int, dt: float, out: int) -> int:
+        """Write the points after a step dt; return 0, or 1 if there are none."""
+        del about, count, x, out  # those of the tensors
+        try:
+            flow = at(self.flow, next(self.starts)) if self.timed else self.flow
+            found = propagate(flow, self.points.clone(), dt)
+            if not members.apply_to(self.weights, found):
+                self.left = found
+                return 1
+            self.moved.copy_(found)
+        except Exception:
+            return 1
+        except BaseException as error:
+            self.interrupt = error
+            return 1
+        return 0
+
+
+class RunSteps(NamedTuple):
+    """Steps of B members.
+
+    Attributes:
+        flow: the process model.
+        starts: S times at which steps begin; not needed for a flow that does not depend on time.
+        lengths: (S,) their lengths.
+        chol_q: (S or 1, B or 1, D, D) factors of the process noise.
+        measured: S flags, whether a row is measured at the end of the step.
+        rows: (K, B, M) rows without missing components.
+        sensor: measurement model of the rows.
+        most: NIS above which a row needs a decision, whatever the gate.
+    """
+
+    flow: Flow
+    starts: Sequence[Tensor]
+    lengths: Tensor
+    chol_q: Tensor
+    measured: Sequence[bool]
+    rows: Tensor
+    sensor: SensorModel
+    most: float = math.inf
+
+
+class DoneSteps(NamedTuple):
+    """Steps that were done.
+
+    Attributes:
+        number: n, how many.
+        results: memory of `members.results`, of which the first n steps are valid.
+        points: (B, S, D) points after the flow of the step that was not done; None where they are unknown.
+    """
+
+    number: int
+    results: tuple[Tensor, ...]
+    points: Tensor | None
+
+
+def supported(state: FilterState, kernel: SigmaPoints, sensor: SensorModel, *tensors: Tensor) -> bool:
+    """Return whether the library supports a sensor and plain tensors, and all members are active."""
+    weights, (mean, chol) = kernel.weights, state.belief
+    size = len(sensor.measurement.names)
+    if type(sensor.measurement) not in READINGS or size > mean.shape[-1] or bool(state.status.any()):
+        return False
+    known = kernel.form.read is not None and weights.crowding is None
+    return known and members.apply_to(weights, mean, chol, sensor.chol_r, *tensors)
+
+
+def done_steps(state: FilterState, weights: SigmaWeights, steps: RunSteps) -> DoneSteps:
+    """Execute steps that are supported, until one needs a decision."""
+    thresholds, sensor = steps.sensor.thresholds, steps.sensor
+    most = steps.most if thresholds is None else min(steps.most, float(thresholds[-1]))
+    half = 0.5 * steps.rows.new_tensor(periods(sensor.measurement))
+    points = draw(state.belief, weights)
+    moved, results = torch.empty_like(points), members.results(len(steps.measured), half.numel(), points)
+    known = getattr(steps.flow, "as_compiled", None)
+    compiled: CompiledFlow | None = None
+    if known is not None and points.shape[0] * points.shape[1] <= PART:  # more states use several cores
+        compiled = known()
+    called = None
+    if compiled is None:
+        called = CalledFlow(steps.flow, steps.starts, weights, points, moved)
+        function = CALLED(called)
+        compiled = CompiledFlow(ctypes.cast(function, P).value or 0, 0, (function,))
+    noise = steps.chol_q, sensor.chol_r, most, half
+    fixed = steps.lengths, steps.measured, steps.rows
+    code, count = members.follow(compiled, *fixed, weights, *noise, (points, moved), results)
+    if called is not None and called.interrupt is not None:
+        raise called.interrupt
+    left = moved if code == members.UNSOUND else None if called is None else called.left
+    return DoneSteps(count, results, left)
+
+
+def follow(
+    state: FilterState, kernel: SigmaPoints, flow: Flow, run: StepRun, sensor: SensorModel, most: float
+) -> FollowedRows | None:
+    """Filter the first rows of a run of one member; see `ahnn.estimation.step_runs.RunFilter`."""
+    if not supported(state, kernel, sensor, run.chol_q, run.rows):
+        return None
+    starts = torch.tensor(run.starts, dtype=torch.float64).unbind() if clock_of(flow) else ()
+    given = flow, starts, run.lengths, run.chol_q.unsqueeze(1), run.measured, run.rows.unsqueeze(1)
+    done = done_steps(state, kernel.weights, RunSteps(*given, sensor, most))
+    ends = torch.tensor(run.measured[: done.number], dtype=torch.bool).nonzero()[:, 0]
+    parts = (part[ends, 0] for part in done.results)
+    _, _, residuals, means, chols, deviations, nis, log_likelihoods, _ = parts
+    return FollowedRows(means, chols, residuals, deviations, nis, log_likelihoods)
