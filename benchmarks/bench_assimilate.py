@@ -2,8 +2,8 @@
 
 Position fixes every 10 s of a Molniya orbit, noise 0.1 km, through a pretrained model or the exact flow
 (`--flow exact`), on one thread. Throughput and memory belong to one process that reads a file, writes
-estimates with covariances, and saves its state every 1,000 lines, after a warm-up. Latency is measured on lines
-that arrive one by one. The command is killed with SIGKILL.
+estimates with covariances, and saves its state every 1,000 lines, after a warm-up. Latency is measured on
+lines that arrive one by one. The command is killed with SIGKILL.
 
     python benchmarks/bench_assimilate.py [--flow molniya_mechanical] [--lines 100000] [--repeats 5]
         [--kills 20] [--kill-lines 10000] [--seed 0]

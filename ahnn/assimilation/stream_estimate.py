@@ -10,22 +10,23 @@ from ahnn.assimilation.fixed_lag import LaggedEstimate
 from ahnn.estimation import Innovation
 
 Outcome = Literal["taken", "reopened", "rejected", "predicted", "repeated", "late", "ahead"]
-"""Outcome of a reading: accepted, accepted by a wider belief, rejected by the gate, empty; or it
-was there already, it came too late, or it lies too far ahead. The last three leave the estimate as it was."""
+"""Outcome of a reading: accepted, accepted by a wider belief, rejected by the gate, empty, duplicate, too
+late, or too far ahead. The last three leave the estimate unchanged.
+"""
 
 
 class Estimate(NamedTuple):
     """Estimate after a reading.
 
     Attributes:
-        outcome: of the reading.
-        time: time of the estimate, that of the newest reading.
+        outcome: outcome of the reading.
+        time: time of the estimate and of the newest reading.
         mean: (D,).
         covariance: (D, D).
         innovation: innovation of the reading; None if the estimate did not change.
-        replayed: readings that came before it and are later than it.
-        modes: probabilities of the modes of interacting models; of other filters there are none.
-        smoothed: with a lag, the belief about the time that much earlier; None if unavailable.
+        replayed: number of later readings that were replayed.
+        modes: probabilities of the modes of interacting models; () for other filters.
+        smoothed: with a lag, the smoothed belief about the earlier time; None if unavailable.
     """
 
     outcome: Outcome

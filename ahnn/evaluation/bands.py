@@ -55,8 +55,8 @@ class Band(NamedTuple):
         return (
             f"bands of 1, 2 and 3 standard deviations contain {percent(self.coverage)} % of unseen states "
             f"({self.test.sentence()}); the error is {self.efficiency[0]:.2f} (position) and "
-            f"{self.efficiency[1]:.2f} ({quantity(space, 'velocity')[0]}) times the noise bound (at the bound "
-            f"{ranges(self.usual)} in 19 of 20 training runs)"
+            f"{self.efficiency[1]:.2f} ({quantity(space, 'velocity')[0]}) times the noise bound (at the "
+            f"bound {ranges(self.usual)} in 19 of 20 training runs)"
         )
 
     def verdict(self) -> str:
