@@ -25,7 +25,7 @@ from torch import Tensor
 
 from ahnn import load_ensemble
 from ahnn.cli.compose import compose_job
-from ahnn.cli.members import prepare_members
+from ahnn.cli.ensemble_training import prepare_members
 from ahnn.cli.parts import build_source
 from ahnn.cli.preflight import quiet
 from ahnn.data import Simulated

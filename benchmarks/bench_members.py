@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from ahnn.cli.compose import compose_job
-from ahnn.cli.members import prepare_members
+from ahnn.cli.ensemble_training import prepare_members
 from ahnn.cli.preflight import quiet
 from ahnn.jobs.fitting_members import calibrate_all
 from ahnn.models import AbstractModel, EnsembleModel

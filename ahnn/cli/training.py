@@ -27,7 +27,7 @@ def train(cfg: DictConfig) -> float:
     """
     begin(cfg)
     if cfg.get("members"):
-        from ahnn.cli.members import train_members
+        from ahnn.cli.ensemble_training import train_members
 
         return train_members(cfg)
     parts = [of_seed(cfg, seed) for seed in cfg.seeds] if cfg.seeds else [cfg]
@@ -58,7 +58,7 @@ def check(cfg: DictConfig) -> None:
     begin(cfg)
     with held():
         if cfg.get("members"):
-            from ahnn.cli.members import prepare_members
+            from ahnn.cli.ensemble_training import prepare_members
 
             prepare_members(cfg)
             return

@@ -171,8 +171,9 @@ class HamiltonianDynamics(IntegratedField):
     def fused_layers(self, x: Tensor) -> Layers | None:
         """Return the layers of the field where steps from states like x are fused operations, else None."""
         field, method = self.field, self.integrator
-        fits = isinstance(field, GenericHamiltonian) and isinstance(method, ExplicitRungeKutta)
-        return field.layers(x) if fits else None
+        if not (isinstance(field, GenericHamiltonian) and isinstance(method, ExplicitRungeKutta)):
+            return None
+        return field.layers(x)
 
     def scheme(self, dt: TimeStep) -> Scheme:
         """Return method, step and activation of a fused operation."""

@@ -72,8 +72,10 @@ def member_equations(
         sizes: sizes of the tensors that form the P parameters.
     """
     residuals = member_residuals(objective, members, batch)
-    of_objective = _of_steps if isinstance(objective, Recursive) else _of_field
-    jacobian = of_objective(cast("Recursive", objective), members, thetas, batch)
+    if isinstance(objective, Recursive):
+        jacobian = _of_steps(objective, members, thetas, batch)
+    else:
+        jacobian = _of_field(objective, members, thetas, batch)
     columns = torch.arange(jacobian.shape[-1], device=jacobian.device).split(list(sizes))
     nonzero = (jacobian != 0).any(0)
     used = torch.stack([used_rows(part) for part in nonzero.split(list(sizes), dim=-1)], dim=-1)
