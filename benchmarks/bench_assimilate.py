@@ -210,8 +210,7 @@ def beside_batch(model: Model, path: Path, count: int = 500) -> dict[str, Any]:
     """Compare with the filter over a batch of rows."""
     table = torch.from_numpy(np.loadtxt(path, delimiter=",", skiprows=1, max_rows=count))
     filtering = make(model)
-    for time_, *values in table.tolist():
-        estimate = filtering.update(Reading(time_, tuple(values)))
+    estimate = [filtering.update(Reading(time_, tuple(values))) for time_, *values in table.tolist()][-1]
     steps = schedule(table[:, 0], table[None, :, 1:], model.interval)
     start = initial_belief([START], np.diag([1.0] * 3 + [1e-4] * 3))
     noise, r = filtering.process.noise, SD**2 * torch.eye(3, dtype=torch.float64)
