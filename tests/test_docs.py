@@ -73,6 +73,7 @@ NOT_RUN = {
     "bench_gpu.py": "needs a GPU",
     "ahnn.orbit ": "needs real measurements; tests/tracking/test_orbit_door.py runs it where they are",
     "ahnn.benchmark all": "hours: ten trainings for each model of each task",
+    "bench_ensemble_bands": "an hour on shared cores: forty trainings",
     "ahnn.calibrate experiment": "an hour: twenty trainings",
 }
 """Commands that the slow suite leaves out, by a part of them, and why."""

@@ -86,6 +86,7 @@ def check_settings(cfg: DictConfig) -> None:
         message = f"seeds: expected different seeds; received {seeds}"
         raise UserError(message)
     require_alone(values)
+    require_seeds(values)
     received = flatten(values)
     for key, value in flatten(values.get("required") or {}).items():  # consequences of the chosen model
         if received.get(key) != value:
@@ -105,9 +106,17 @@ def require_alone(values: dict[str, Any]) -> None:
         ("seeds", "null, since members have the seeds from seed= on"),
         ("weights", f"null: {same}"),
     ):
-        if values.get(key):
+        if values.get(key) is not None:
             message = f"{key}: expected {expected}; received {values[key]} with members={values['members']}"
             raise UserError(message)
+
+
+def require_seeds(values: dict[str, Any]) -> None:
+    """Raise UserError for an ensemble whose last seed is out of range."""
+    most = 2**32 - (values.get("members") or 1)
+    if values["seed"] > most:
+        message = f"seed: expected at most {most}, for a seed of each member; received {values['seed']}"
+        raise UserError(message)
 
 
 def check_keys(values: dict[str, Any], schemas: dict[str, type]) -> None:
