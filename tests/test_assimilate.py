@@ -206,7 +206,7 @@ def test_a_pipe_is_answered_line_by_line_and_a_killed_process_goes_on(place):
 
 
 @pytest.mark.usefixtures("place")
-def test_beyond_the_training_data_the_novelty_widens_what_is_known():
+def test_beyond_the_training_data_the_novelty_widens_what_is_known(caplog):
     far = [0.0, -4200.0, -8240.0, 8.6, 0.0, 0.0]
     assert float(RUN.novelty(far)) > 1.5
     fixes = RUN.rollout(far, 40, 15.0)[0, 1:, :3].tolist()
@@ -220,6 +220,9 @@ def test_beyond_the_training_data_the_novelty_widens_what_is_known():
         *_, last = csv.DictReader(Path(name).read_text().splitlines())
         known.append(float(last["cov_vx_vx"]))
     assert known[1] > 10 * known[0]
+    assert [said.split(",")[0] for said in caplog.messages if said.startswith("novelty")] == [
+        "novelty: the last estimate lies beyond the training data"
+    ] * 2
 
 
 @pytest.mark.usefixtures("place")

@@ -32,6 +32,7 @@ class AssimilationRecord(NamedTuple):
         measured: names of the measured numbers.
         innovation, deviation: (T, M) innovations and their standard deviations, NaN where a number is
             missing.
+        sensor: (T,) names of the sensors.
     """
 
     time: Array
@@ -43,6 +44,7 @@ class AssimilationRecord(NamedTuple):
     measured: tuple[str, ...]
     innovation: Array
     deviation: Array
+    sensor: NDArray[np.str_]
 
 
 def read_record(path: Path, space: Space, most: int = MOST) -> AssimilationRecord:
@@ -76,10 +78,10 @@ def read_record(path: Path, space: Space, most: int = MOST) -> AssimilationRecor
             (covariance[:, i, j],) = columns([f"{COVARIANCE}{components[i]}_{components[j]}"]).T
             covariance[:, j, i] = covariance[:, i, j]
     time, nis, dof = columns(["time", "nis", "dof"]).T
-    outcome = np.array([row[FIRST[3]] for row in rows])
+    sensor, outcome = (np.array([row[name] for row in rows]) for name in FIRST[2:4])
     told = [columns([prefix + name for name in measured]) for prefix in (INNOVATION, DEVIATION)]
     mean, covariance = scales * columns([*components]), covariance * scales * scales[:, None]
-    return AssimilationRecord(time, mean, covariance, outcome, nis, dof, measured, *told)
+    return AssimilationRecord(time, mean, covariance, outcome, nis, dof, measured, *told, sensor)
 
 
 def _number(cell: Any) -> float:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from itertools import cycle
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -13,21 +16,23 @@ from ahnn.types import Space
 
 AVERAGED = 50
 """Number of readings in a moving mean of the NIS."""
+COLORS = (style.VERMILLION, style.BLUE, style.GREEN, style.PURPLE, style.ORANGE, style.BLACK)
+"""Colours of sensors."""
 NAMES = ("innovations", "consistency", "deviations")
 
 
-def figures_of(record: AssimilationRecord, space: Space) -> dict[str, Figure]:
-    """Draw the figures of a record and return them by name."""
-    drawn = (draw(record, space) for draw in (innovations, consistency, deviations))
+def figures_of(record: AssimilationRecord, space: Space, units: Mapping[str, str]) -> dict[str, Figure]:
+    """Draw the figures of a record and return them by name; `units` are those of the measured numbers."""
+    drawn = innovations(record, space, units), consistency(record, space), deviations(record, space)
     return dict(zip(NAMES, drawn, strict=True))
 
 
-def innovations(record: AssimilationRecord, space: Space) -> Figure:
-    """Plot measurement minus prediction with a band of three standard deviations."""
+def innovations(record: AssimilationRecord, space: Space, units: Mapping[str, str]) -> Figure:
+    """Plot measurement minus prediction, each sensor in its colour, with a band of three deviations."""
     time, unit = _time(record, space)
     figure = style.canvas(8, 1.2 + 1.9 * len(record.measured))
     panels = figure.subplots(len(record.measured), 1, sharex=True, squeeze=False)[:, 0]
-    refused = record.outcome == "rejected"
+    refused, sensors = record.outcome == "rejected", [*dict.fromkeys(record.sensor.tolist())]
     for k, (axes, name) in enumerate(zip(panels, record.measured, strict=True)):
         there = np.isfinite(record.innovation[:, k])
         t, value, wide = time[there], record.innovation[there, k], 3.0 * record.deviation[there, k]
@@ -36,13 +41,22 @@ def innovations(record: AssimilationRecord, space: Space) -> Figure:
         axes.axhline(0, color=style.BLACK, lw=0.6)
         taken = ~refused[there]
         limit = 2.0 * float(np.median(wide)) if len(t) else 1.0
-        limit = max(limit, float(np.abs(value[taken]).max(initial=0.0)))
-        far = np.clip(value[~taken], -limit, limit)  # so that an outlier does not flatten the other curves
-        axes.plot(t[taken], value[taken], ".", color=style.VERMILLION, ms=3, ls="none", label="innovation")
-        axes.plot(t[~taken], far, "x", color=style.BLACK, ms=5, ls="none", label="rejected")
+        limit = max(limit, float(np.abs(value[taken]).max(initial=0.0)))  # outliers do not flatten the curves
+        several = len(sensors) > 1
+        for sensor, color in zip(sensors, cycle(COLORS), strict=False):
+            own = taken & (record.sensor[there] == sensor)
+            look = {"color": color, "ms": 3, "ls": "none", "label": sensor if several else "innovation"}
+            axes.plot(t[own], value[own], ".", **look)
+        for far, mark, label in (
+            (np.abs(value) <= limit, "x", "rejected"),
+            (value > limit, "^", "rejected, above the axis"),
+            (value < -limit, "v", "rejected, below the axis"),
+        ):
+            if (own := ~taken & far).any():
+                at = np.clip(value[own], -limit, limit)
+                axes.plot(t[own], at, mark, color=style.BLACK, ms=5, ls="none", label=label)
         axes.set_ylim(-1.1 * limit, 1.1 * limit)
-        known = space.components[: space.dof]
-        axes.set_ylabel(f"{name} [{space.units.position}]" if name in known else name)
+        axes.set_ylabel(f"{name} [{units[name]}]" if units.get(name) else name)
     style.legend_below(figure, panels[0])
     panels[0].set_title(f"{space.name}: innovations")
     panels[-1].set_xlabel(f"time [{unit}]")

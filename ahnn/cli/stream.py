@@ -248,7 +248,8 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
         filtering = Catalogue(process, sensors, belief, names, times=times, **limits)
         filtering.begun |= {} if asked.shard is None else {"shard": asked.shard}
     name = asked.object or (found.names[0] if isinstance(asked.start, str) else "UNKNOWN")
-    return Stream(asked, run.space, filtering, clock, reference, name, control_names(run), fitted=line)
+    far = None if run.domain is None else run.novelty
+    return Stream(asked, run.space, filtering, clock, reference, name, control_names(run), None, line, far)
 
 
 def carrier(run: Run) -> Callable[[Tensor, Tensor, Tensor], Tensor]:

@@ -10,7 +10,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from ahnn.assimilation import Catalogue
+from ahnn.assimilation import Assimilation, Catalogue
 from ahnn.assimilation.assimilation_record import read_record, write_ephemeris
 from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.output_rows import Rows
@@ -23,6 +23,7 @@ from ahnn.files import write_atomically
 from ahnn.jobs.assimilating_objects import assimilate_objects
 from ahnn.jobs.assimilation_request import Stream, opened
 from ahnn.jobs.control_times import warn_of_the_end
+from ahnn.uncertainty import BEYOND
 
 log = logging.getLogger("ahnn")
 
@@ -65,6 +66,8 @@ def assimilate(stream: Stream) -> None:
     log.info("%s lines: %s", f"{session.counted:,}", said(session.counts))
     if verdict := session.verdict():
         log.info(verdict)
+    if remark := _of_novelty(stream, filtering):
+        log.warning(remark)
     for name, sensor in filtering.sensors.items():
         own = zip(sensor.columns, sensor.measurement.units, filtering.biases.get(name, ()), strict=False)
         told = [f"{column} {b:.4g} ± {sd:.2g} {unit}" for column, unit, (b, sd) in own if sd > 0.0]
@@ -74,6 +77,18 @@ def assimilate(stream: Stream) -> None:
         log.info("%s", "\n".join(followed.lines(filtering.window.state.moments, filtering.window.time)))
     _pictures(stream)
     session.require_followed()
+
+
+def _of_novelty(stream: Stream, filtering: Assimilation) -> str | None:
+    """Return a remark on a last estimate beyond the training data, which consistency does not reveal."""
+    mean = filtering.window.state.moments.mean[0, : filtering.size]
+    far = 0.0 if stream.novelty is None else float(stream.novelty(mean))
+    if far <= BEYOND:
+        return None
+    return (
+        f"novelty: the last estimate lies beyond the training data, {far:.3g} times as far as its edge. "
+        "Errors there may be far larger than the standard deviations"
+    )
 
 
 def told_to(watchers: Sequence[Watcher]) -> Watcher:
@@ -93,7 +108,10 @@ def _pictures(stream: Stream) -> None:
         return
     record = read_record(Path(options.output), space)
     if options.figures:
-        for name, figure in figures_of(record, space).items():
+        units: dict[str, str] = {}
+        for one in stream.filtering.sensors.values():
+            units |= dict(zip(one.columns, one.measurement.units, strict=False))
+        for name, figure in figures_of(record, space, units).items():
             for suffix in FORMATS:
                 write_atomically(Path(options.figures) / f"{name}{suffix}", drawn(figure, suffix))
     if options.oem:

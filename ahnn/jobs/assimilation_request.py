@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, BinaryIO, Literal, NamedTuple, cast
+
+from torch import Tensor
 
 from ahnn.arguments import Count, Finite, Positive, Within
 from ahnn.assimilation import Assimilation, Catalogue
@@ -71,6 +74,7 @@ class Stream(NamedTuple):
         controls: names of the model's controls.
         followed: measurements of an orbit determination, used instead of lines.
         fitted: number of the last line to which the start was fitted.
+        novelty: distance of states from the training data, 1 at its edge; None if unknown.
     """
 
     asked: AssimilationRequest
@@ -82,6 +86,7 @@ class Stream(NamedTuple):
     controls: tuple[str, ...] = ()
     followed: FollowedMeasurements | None = None
     fitted: int = 0
+    novelty: Callable[[Tensor], Tensor] | None = None
 
 
 def require_places(options: AssimilationRequest) -> None:

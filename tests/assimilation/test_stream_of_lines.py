@@ -228,7 +228,7 @@ def test_an_output_becomes_pictures_and_an_ephemeris(tmp_path):
     record = read_record(tmp_path / "out.csv", SPACE)
     assert (len(record.time), record.measured) == (40, ("q", "p"))
     assert len(read_record(tmp_path / "out.csv", SPACE, most=10).time) in (10, 11)
-    assert {*figures_of(record, SPACE)} == {"innovations", "consistency", "deviations"}
+    assert {*figures_of(record, SPACE, {})} == {"innovations", "consistency", "deviations"}
     with pytest.raises(UserError, match="oem: expected an orbit"):
         write_ephemeris(tmp_path / "no.oem", record, SPACE, "X", ABOUT)
     draw = np.random.default_rng(0)

@@ -67,9 +67,9 @@ def sgp4_content(
     step, duration = span
     if step is None or duration is None or duration < step:
         message = (
-            "system.step, system.duration: expected the sampling interval and the duration of "
-            f"trajectories, in seconds, which SGP4 propagates from the {named} of {file}; received {step} "
-            f"and {duration}"
+            "step, duration: expected the sampling interval and the duration of trajectories, in seconds, "
+            f"which SGP4 propagates from the {named} of {file}; received {step} and {duration}. In "
+            "ahnn.train they are system.step and system.duration"
         )
         raise UserError(message)
     model = library("sgp4.api", "sgp4", "orbit", file)

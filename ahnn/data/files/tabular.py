@@ -31,6 +31,7 @@ from ahnn.data.files.unit_factors import scales
 from ahnn.data.files.unwrapped_angles import unwrapped
 
 NOTATION = "Write dates as year-month-day, which is unambiguous"
+NOT_A_DATE = "Write dates as year-month-day, check the order of the columns, or name a unit of time, [s]"
 
 
 def of_sheet(sheet: Sheet, sidecar: Sidecar, *, weighed: bool, note: Note = refuse) -> Content:
@@ -55,6 +56,10 @@ def of_sheet(sheet: Sheet, sidecar: Sidecar, *, weighed: bool, note: Note = refu
     if are_epochs(sheet.columns[found.time]):
         header, clock = with_clock(header, found.time, place)
         times, epoch = elapsed(sheet, found.time, clock, note)
+    elif (scale := header.units[found.time]) in TO_TT:
+        first = Place(file, int(sheet.rows[0]), header.names[found.time])
+        received = repr(str(sheet.columns[found.time][0]))
+        first.refuse(f"a date, since the header names the time scale {scale}", received, NOT_A_DATE)
     by = scales(header, found, place, weighed=weighed)
     if times is None:
         times = numbers(sheet, found.time, note)
