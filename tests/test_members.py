@@ -160,7 +160,7 @@ def test_an_optimiser_that_couples_weights_is_refused(tmp_path):
 
 
 def test_members_are_refused_where_one_model_is_trained(tmp_path):
-    with pytest.raises(ahnn.UserError, match="one training; received members=2"):
+    with pytest.raises(ahnn.UserError, match="one training run; received members=2"):
         check_given(["members=2"], tmp_path / "run")
     with pytest.raises(ahnn.UserError, match="one model is trained here; received 2"):
         prepare(compose_job(["members=2"], tmp_path / "run"))
