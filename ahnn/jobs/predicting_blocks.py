@@ -47,6 +47,7 @@ class StartBlock(NamedTuple):
 
 def blocks_of(asked: PredictionRequest, begin: Starts, moments: Moments) -> list[StartBlock]:
     """Divide the starts of a prediction."""
+    _loaded.cache_clear()  # the folder, or the place that a relative path names, may have changed since
     runs = () if asked.run is None else tuple(asked.run) if isinstance(asked.run, list) else (asked.run,)
     states = begin.states.split(TOGETHER)
     known = [None] * len(states) if begin.covariances is None else begin.covariances.split(TOGETHER)

@@ -197,7 +197,7 @@ MISTAKES = {
     "deviations": ([MOLNIYA, START, "duration=1h", "start_sd=[1,1,1]"], "start_sd: expected 6 numbers > 0"),
     "no deviation": ([MOLNIYA, START, "duration=1h", "start_sd=[1,0]"], "start_sd: expected"),
     "columns": ([MOLNIYA, "start=other.csv", "duration=1"], "expected positions x, y, z"),
-    "alone": ([MOLNIYA, "start=alone.csv", "duration=1"], "received x, y, z alone"),
+    "alone": ([MOLNIYA, "start=alone.csv", "duration=1"], "received x, y, z only"),
     "units": ([MOLNIYA, "start=angle.csv", "duration=1"], "expected numbers in km"),
 }
 
