@@ -64,7 +64,7 @@ def targets(node):
 
 
 @pytest.mark.parametrize(("group", "option"), OPTIONS)
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(6)
 def test_every_option_composes_and_its_targets_take_its_keys(tmp_path, group, option):
     cfg = composed(tmp_path, f"{group}={option}")
     nodes = list(targets(cfg))
@@ -81,7 +81,7 @@ def test_every_option_composes_and_its_targets_take_its_keys(tmp_path, group, op
 @pytest.mark.parametrize(
     ("group", "option"), [pair for pair in OPTIONS if pair[0] in BUILT and pair[1] not in ELSEWHERE]
 )
-@pytest.mark.sampled(3)
+@pytest.mark.sampled(6)
 def test_every_option_of_the_core_can_be_built(tmp_path, group, option):
     overrides = [f"{group}={option}"]
     overrides += GIVEN.get(option, [])

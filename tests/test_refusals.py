@@ -21,6 +21,7 @@ WRONG_JOBS = {
 
 @pytest.mark.parametrize("launcher", ["basic", "ahnn_process"])
 @pytest.mark.parametrize("mistake", WRONG_JOBS)
+@pytest.mark.sampled(2)
 def test_a_sweep_checks_one_job_whole_before_its_first_trial(mistake, launcher, tmp_path, capfd, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("AHNN_CACHE", str(tmp_path / "cache"))
@@ -59,6 +60,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("mistake", REFUSED)
+@pytest.mark.sampled(2)
 def test_what_cannot_work_is_refused_at_once(mistake, tmp_path, capfd, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("AHNN_CACHE", str(tmp_path / "cache"))  # nothing may be generated either

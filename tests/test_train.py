@@ -115,6 +115,7 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
+@pytest.mark.sampled(2)
 def test_a_mistake_is_one_message_and_leaves_nothing(mistake, tmp_path, capfd, monkeypatch):
     monkeypatch.chdir(tmp_path)
     overrides, expected = MISTAKES[mistake]

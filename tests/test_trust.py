@@ -93,6 +93,7 @@ def change(run: Path, **entries) -> None:
 
 @pytest.mark.parametrize("door", DOORS)
 @pytest.mark.parametrize("gadget", GADGETS)
+@pytest.mark.sampled(2)
 def test_no_gadget_passes_any_door(run, tmp_path, capfd, gadget, door):
     trace = tmp_path / "trace"
     change(run, **DOORS[door](GADGETS[gadget](trace)))

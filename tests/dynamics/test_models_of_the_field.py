@@ -108,6 +108,7 @@ def test_a_lagrangian_field_solves_the_euler_lagrange_equations(masses):
 
 
 @pytest.mark.parametrize("model", ["sympnet", "sympnet model.form=LA", "henon_net", "ghnn", "lnn", "srnn"])
+@pytest.mark.sampled(2)
 def test_each_trains_is_judged_and_is_loaded_again(model, tmp_path):
     words = [f"model={model.split()[0]}", *model.split()[1:], f"run={tmp_path / 'run'}"]
     small = [*SMALL, "evaluation=scores", "data.batch_size=80"]

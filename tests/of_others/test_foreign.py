@@ -160,6 +160,7 @@ NODES = [
 
 
 @pytest.mark.parametrize("wrong", CONFIGURATIONS)
+@pytest.mark.sampled(2)
 def test_a_configuration_that_is_none_is_one_message(run, tmp_path, capfd, wrong):
     (run / "config.yaml").write_bytes(CONFIGURATIONS[wrong])
     for name in ("evaluate", "assimilate"):
