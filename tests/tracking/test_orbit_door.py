@@ -66,7 +66,7 @@ def test_an_orbit_is_found_and_written(folder, tmp_path, capsys):
         (["forces.gravity.degree=40"], "degree: expected 0 to 12 of EIGEN-6S; received 40"),
         (["forces.drag=heavy"], "forces.drag: expected a mapping of keys to values; received 'heavy'"),
         (["stations.south=[1,2]"], "stations.south: expected [latitude, longitude, height], degrees and m"),
-        (["stations.west=[1,2,3]"], "stations.west: expected one of seen.aer"),
+        (["stations.west=[1,2,3]"], "stations.west: expected a station of seen.aer"),
         (["sinex=[a.snx]"], "stations: expected coordinates of each under `stations`, or files"),
         (["object=other"], "object: expected one of seen.aer"),
         (["measurements=nowhere.aer"], "nowhere.aer"),

@@ -183,7 +183,7 @@ def test_values_beyond_their_limits_are_refused(message):
 
 
 def test_fewer_members_than_components_are_refused():
-    with pytest.raises(UserError, match="ensemble: expected more members than the 3 components"):
+    with pytest.raises(UserError, match="ensemble: expected more members than the 3 estimated components"):
         EnsembleKalmanFilter(ensemble=3).start(initial_belief(torch.zeros(1, 3), P0))
     with pytest.raises(UserError, match="state: expected a SampleState"):
         SQUARE.predict(ExtendedKalmanFilter().start(initial_belief(torch.zeros(1, 3), P0)), *[None] * 3)  # pyright: ignore
