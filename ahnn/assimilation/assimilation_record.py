@@ -79,9 +79,9 @@ def read_record(path: Path, space: Space, most: int = MOST) -> AssimilationRecor
             covariance[:, j, i] = covariance[:, i, j]
     time, nis, dof = columns(["time", "nis", "dof"]).T
     sensor, outcome = (np.array([row[name] for row in rows]) for name in FIRST[2:4])
-    told = [columns([prefix + name for name in measured]) for prefix in (INNOVATION, DEVIATION)]
+    found, sds = (columns([prefix + name for name in measured]) for prefix in (INNOVATION, DEVIATION))
     mean, covariance = scales * columns([*components]), covariance * scales * scales[:, None]
-    return AssimilationRecord(time, mean, covariance, outcome, nis, dof, measured, *told, sensor)
+    return AssimilationRecord(time, mean, covariance, outcome, nis, dof, measured, found, sds, sensor)
 
 
 def _number(cell: Any) -> float:
