@@ -106,11 +106,11 @@ def test_what_they_have_not_is_refused(case):
     with pytest.raises(UserError, match="smoother: expected true, false or one of smoothed; received it"):
         run(case, "smoother=iterated", group="enkf")
     few = ["cadence=9", "estimator.ensemble=4", "bias_sd=[0.1]"]
-    with pytest.raises(UserError, match="ensemble: expected more members than the 4 components"):
+    with pytest.raises(UserError, match="ensemble: expected more members than the 4 estimated components"):
         run(case, *few, "process_noise=force_error", group="enkf")
     (plugin,) = plugins("enkf", process_noise="parameter_error").values()
     plugin.estimator = dataclasses.replace(plugin.estimator, ensemble=40)
-    with pytest.raises(UserError, match="ensemble: expected more members than the 52 components"):
+    with pytest.raises(UserError, match="ensemble: expected more members than the 52 estimated components"):
         plugin.check(SPRING, SPRING.space, 40)
 
 

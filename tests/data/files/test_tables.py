@@ -155,7 +155,7 @@ def test_a_user_is_told_what_was_read(tmp_path, caplog):
     read(tmp_path, "t [s],x [km],px [kg km/s]\n0,1,2\n1,2,3\n", mass=1.0)
     assert "1 trajectory of 2 samples, time in s, positions x in km, momenta px" in caplog.text
     read(tmp_path, "t [s],x [km]\n0,1\n1,2\n")
-    assert "1 trajectory of 2 samples, time in s, positions x in km alone" in caplog.text
+    assert "1 trajectory of 2 samples, time in s, positions x in km only" in caplog.text
 
 
 @pytest.mark.parametrize(("factor", "gap"), [(9, False), (12, True)])
