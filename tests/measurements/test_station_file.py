@@ -62,7 +62,11 @@ def test_they_measure_as_one_by_one_with_their_biases_masks_and_noise(file):
         ("azimuth: 0.01", "azimuth: -1", "kiruna.noise.azimuth: expected a number > 0; received -1"),
         ("longitude: 2.5, ", "", "troll: "),
         ("height: 400", "hieght: 400", "did you mean 'height'"),
-        ("noise: {range_rate: 1.0e-5}", "bias: {range: 1}", "noise: expected standard deviations of one or more of range"),
+        (
+            "noise: {range_rate: 1.0e-5}",
+            "bias: {range: 1}",
+            "noise: expected standard deviations of one or more",
+        ),
         (TEXT, "kiruna: here", "kiruna: expected [latitude, longitude, height], degrees and m, or keys"),
     ],
 )
