@@ -113,7 +113,7 @@ MISTAKES = {
     "shard=1/2": "shard: expected none, since workers have one each with workers=2; received 1/2",
     "states=last.txt": "output: expected a file .csv, .parquet, .oem, .xml",
     "output=fixes.csv": "received fixes.csv",
-    "objects=null": "workers: expected objects=COLUMN with it; received workers=2 alone",
+    "objects=null": "workers: expected workers=2 with objects=COLUMN; received no objects",
 }
 
 
