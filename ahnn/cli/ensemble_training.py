@@ -48,7 +48,7 @@ def prepare_members(cfg: DictConfig) -> PreparedEnsemble:
     Raises:
         UserError: incompatible parts, or settings that couple the members.
     """
-    from ahnn.cli.prepare import build_trainer, parts_of, prepare
+    from ahnn.cli.prepare import build_trainer, checkpoint_of, parts_of, prepare
     from ahnn.cli.training import of_seed
     from ahnn.jobs.fitting_members import PreparedEnsemble
     from ahnn.models import EnsembleModel
@@ -68,10 +68,7 @@ def prepare_members(cfg: DictConfig) -> PreparedEnsemble:
     data.feed(trainer)
     model = EnsembleModel([member.model for member in members])
     model.check(trainer)
-    checkpoint = None if cfg.ckpt is None else Path(cfg.ckpt)
-    if cfg.ckpt == "last":
-        checkpoint = folder / "checkpoints" / "last.ckpt"
-    if checkpoint is not None:
+    if (checkpoint := checkpoint_of(cfg)) is not None:
         require_resumable(checkpoint, model, trainer)
     return PreparedEnsemble(
         folder=folder,

@@ -65,10 +65,7 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
     model = build_model(values, made, data)
     trainer = build_trainer(made, folder)
     data.feed(trainer)
-    checkpoint = None if cfg.ckpt is None else Path(cfg.ckpt)
     caveat = SMOKE if "budget=smoke" in asked_for(asked) else ""
-    if cfg.ckpt in ("last", "best"):
-        checkpoint = folder / "checkpoints" / f"{cfg.ckpt}.ckpt"
     prepared = Prepared(
         label=cfg.label,
         seed=cfg.seed,
@@ -77,7 +74,7 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
         data=data,
         model=model,
         trainer=trainer,
-        checkpoint=checkpoint,
+        checkpoint=checkpoint_of(cfg),
         weights=cfg.weights,
         recorded=cfg.cuda_graphs,
         robust=cfg.loss.get("robust", "none"),
@@ -86,6 +83,13 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
     check_together(prepared)
     require_read(cfg, prepared, asked)
     return prepared
+
+
+def checkpoint_of(cfg: DictConfig) -> Path | None:
+    """Return the checkpoint to resume from: `last` or `best` of the run folder, a file, or None."""
+    if cfg.ckpt in ("last", "best"):
+        return Path(cfg.folder, "checkpoints", f"{cfg.ckpt}.ckpt")
+    return None if cfg.ckpt is None else Path(cfg.ckpt)
 
 
 def require_one(cfg: DictConfig) -> None:

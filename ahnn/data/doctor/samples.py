@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ahnn.data.doctor.finding import Finding, Level
-from ahnn.data.doctor.slopes import neighbours, through_neighbours, weights
+from ahnn.data.doctor.slopes import interpolated
 from ahnn.data.files.content import Content
 from ahnn.data.files.samples import Track, filled, stacked
 from ahnn.data.files.table import Fault
@@ -102,20 +102,19 @@ def outliers(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
     if count < 11:
         return
     at = np.arange(4, count - 4)
-    near = [through_neighbours(track.times, track.values, at, k) for k in (4, 3, 2)]
-    left = track.values[at] - near[0]
+    (near, pull), *fewer = (interpolated(track.times, track.values, at, k) for k in (4, 3, 2))
+    left = track.values[at] - near
     off = np.abs(left)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # columns without a number
         typical, size = np.nanmedian(off, axis=0), np.nanmax(np.abs(track.values), axis=0)
-    doubt = np.abs(near[0] - near[1]) + 0.1 * np.abs(near[1] - near[2]) + typical
-    pulled = weights(track.times[neighbours(at, 4)] - track.times[at, None], 0)[
-        :, 3:5, None
-    ]  # by k - 1, k + 1
-    before, behind = (np.roll(part, by, axis=0) for part, by in ((left, 1), (left, -1)))
-    expected = [-np.roll(pulled[:, k], by, axis=0) * left for k, by in ((1, 1), (0, -1))]
-    apart = np.maximum(np.abs(before - expected[0]), np.abs(behind - expected[1]))
-    alone = apart < EVEN * off  # the neighbours are off by as much as this sample explains; a jump has others
+    (near_of_6, _), (near_of_4, _) = fewer
+    doubt = np.abs(near - near_of_6) + 0.1 * np.abs(near_of_6 - near_of_4) + typical
+    # a sample that is off pulls the curves at its two neighbours by its weight in them; a jump does more
+    pulled = (
+        np.roll(left + pull[:, [k]] * np.roll(left, by, axis=0), -by, axis=0) for k, by in ((4, -1), (3, 1))
+    )
+    alone = np.maximum(*map(np.abs, pulled)) < EVEN * off
     far = alone & (off > FAR * doubt) & (off > LEAST * size)
     for k, c in zip(*np.nonzero(far), strict=True):
         what = f"an outlier: {off[k, c]:.2g} from the curve through its neighbours"

@@ -95,16 +95,11 @@ def weights(offsets: Array, order: int) -> Array:
 
 def roughness(times: Array, values: Array, at: NDArray[np.int64]) -> Array:
     """Return the distance of samples (K, C) from the cubic through two neighbours on each side."""
-    return np.abs(through_neighbours(times, values, at, 2) - values[at])
+    return np.abs(interpolated(times, values, at, 2)[0] - values[at])
 
 
-def through_neighbours(times: Array, values: Array, at: NDArray[np.int64], count: int) -> Array:
-    """Return interpolated values from polynomials through neighbours on both sides, (K, C)."""
-    window = neighbours(at, count)
-    offsets = times[window] - times[at, None]
-    return np.einsum("kj,kjc->kc", weights(offsets, 0), values[window])
-
-
-def neighbours(at: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """Return the indices (K, 2 count) of as many samples on each side of samples (K,)."""
-    return at[:, None] + np.delete(np.arange(-count, count + 1), count)
+def interpolated(times: Array, values: Array, at: NDArray[np.int64], count: int) -> tuple[Array, Array]:
+    """Return values of polynomials through neighbours on both sides, (K, C), and the weights, (K, 2 count)."""
+    window = at[:, None] + np.delete(np.arange(-count, count + 1), count)
+    of_neighbours = weights(times[window] - times[at, None], 0)
+    return np.einsum("kj,kjc->kc", of_neighbours, values[window]), of_neighbours
