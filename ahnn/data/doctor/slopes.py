@@ -99,7 +99,7 @@ def roughness(times: Array, values: Array, at: NDArray[np.int64]) -> Array:
 
 
 def interpolated(times: Array, values: Array, at: NDArray[np.int64], count: int) -> tuple[Array, Array]:
-    """Return values of polynomials through neighbours on both sides, (K, C), and the weights, (K, 2 count)."""
+    """Return values of polynomials through neighbours on both sides, (K, C), and weights, (K, 2 count)."""
     window = at[:, None] + np.delete(np.arange(-count, count + 1), count)
     of_neighbours = weights(times[window] - times[at, None], 0)
     return np.einsum("kj,kjc->kc", of_neighbours, values[window]), of_neighbours
