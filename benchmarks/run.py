@@ -83,7 +83,7 @@ Runge-Kutta tableau.""",
 `ahnn` uses the compiled flow of `system=molniya`, of order eight with 17 stages. The other
 columns take one Runge-Kutta step: `torch` is the filter of ahnn with a flow in PyTorch, and
 `compiled` adds `torch.compile`; dynamax and cuthbert are jitted; filterpy filters one trajectory
-at a time. The floor is the compiled flow on all sigma points.""",
+at a time. The floor is the compiled flow on all sigma points, called from Python.""",
         lambda repeats: filter_works.table([*filter_works.filters(repeats)]),
         7,
         filter_works.NEEDS,
