@@ -116,6 +116,8 @@ def checked_steps(dt: Numbers, steps: int | None = None) -> Tensor:
     Raises:
         ValueError: wrong shape, or a length that is not finite or not positive.
     """
+    if isinstance(dt, float) and 0.0 < dt < math.inf:
+        return torch.full((), dt, dtype=torch.float64)
     lengths = as_float64(dt, "dt")
     wrong = lengths[~((lengths > 0.0) & lengths.isfinite())]
     if len(wrong) > 0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -79,6 +80,15 @@ def covariance_factor(matrix: Covariance, name: str, *, batch: int, size: int, d
     if factored:
         return matrix
     stacked = matrix.reshape(-1, size, size)
+    if torch.equal(stacked, stacked.mT):  # and so without NaN
+        chol, info = torch.linalg.cholesky_ex(stacked)
+        if not bool(info.any()) and math.isfinite(float(chol.detach().sum())):
+            return chol.reshape(shape)
+    return _checked_factor(stacked, name, definite).reshape(shape)
+
+
+def _checked_factor(stacked: Tensor, name: str, definite: bool) -> Tensor:
+    """Return factors of matrices (B, D, D), possibly singular; raises the errors of `covariance_factor`."""
     scale = _check_entries(stacked.detach(), name)
     # A component of zero variance has a zero row in the factor; gradients of the other components bypass it.
     still = torch.diagonal(stacked.detach(), dim1=-2, dim2=-1) == 0.0
@@ -88,7 +98,7 @@ def covariance_factor(matrix: Covariance, name: str, *, batch: int, size: int, d
     if bool(failed.any()):
         _check_eigenvalues(stacked.detach(), scale, failed, name, definite)
         chol = torch.where(failed[:, None, None], _semidefinite_factor(stacked, scale), chol)
-    return chol.reshape(shape)
+    return chol
 
 
 def _check_entries(matrix: Tensor, name: str) -> Tensor:

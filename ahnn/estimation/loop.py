@@ -38,12 +38,28 @@ class RunPlan(NamedTuple):
     Attributes:
         rows: (B, T, M) measurements, NaN where a component is missing.
         grid: the T time steps.
-        models: function that returns the models of step k, from 0.
+        models: function that returns the models of step k, from 0; the same object for equal models.
+        present: (B, T, M) bool, the components that are not missing.
+        some: T flags, whether any member has a component.
+        whole: T flags, whether no member lacks a component.
     """
 
     rows: Tensor
     grid: StepGrid
     models: Callable[[int], StepModel]
+    present: Tensor
+    some: list[bool]
+    whole: list[bool]
+
+    @classmethod
+    def of(cls, rows: Tensor, grid: StepGrid, models: Callable[[int], StepModel]) -> RunPlan:
+        """Return the plan of rows (B, T, M)."""
+        missing = rows.isnan()
+        present = ~missing
+        if not bool(missing.any()):
+            return cls(rows, grid, models, present, *(2 * ([True] * rows.shape[1],)))
+        each = present.transpose(0, 1).flatten(1)
+        return cls(rows, grid, models, present, each.any(1).tolist(), each.all(1).tolist())
 
 
 class FilterLoop(Protocol[M]):
@@ -82,12 +98,10 @@ def stepper(kernel: Kernel, *, smoothing: bool) -> FilterLoop[FilterState]:
 
 def run(before: M, plan: RunPlan, step: FilterLoop[M]) -> FilterResult:
     """Filter the rows of a plan from a given state; arguments are already validated."""
-    rows, grid, models = plan
-    empty = rows.isnan().all(-1).all(0).tolist()
-    (lengths, times), after, records, k = grid, before, list[StepRecord](), 0
+    (lengths, times), after, records, k = plan.grid, before, list[StepRecord](), 0
     while k < len(lengths):
-        row = None if empty[k] else rows[:, k]
-        after, record = step(k, after, row, models(k), lengths[k], times[k])
+        row = plan.rows[:, k] if plan.some[k] else None
+        after, record = step(k, after, row, plan.models(k), lengths[k], times[k])
         records.append(record)
         k += record.length
-    return collected(records, before, after, rows)
+    return collected(records, before, after, plan.present, whole=all(plan.whole))

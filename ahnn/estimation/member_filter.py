@@ -10,6 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from typing import Any, ClassVar, Generic, Self, TypeVar, cast
 
 import torch
@@ -220,8 +221,8 @@ class MemberFilter(ABC, Generic[M]):
             rows = checked_rows(measurements, "measurements", shape, device)
             grid = StepGrid.of(dt, rows.shape[1], state.time)
             chol_q = process_factor(process_noise, state.belief)
-            model = lambda k: StepModel(flow, chol_q(grid.lengths[k]), sensor)  # noqa: E731
-            plan = RunPlan(rows, grid, model)
+            model = cache(lambda length: StepModel(flow, chol_q(length), sensor))
+            plan = RunPlan.of(rows, grid, lambda k: model(grid.lengths[k]))
             return run(state, plan, self.steps(state, plan, smoothing=smoothing))
 
     def _begun(self, belief: Belief | M, start_time: float) -> M:

@@ -11,6 +11,7 @@ import math
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
 import torch
 from safetensors.torch import save
 from torch import Tensor, nn
@@ -82,7 +83,9 @@ class WhiteNoise:
 
     def each(self, lengths: Tensor) -> Factor:
         """Return the factors (B, D, D) of Q for steps (B,)."""
-        return Factor((lengths / self.interval).sqrt()[:, None, None] * self.chol)
+        # Rounded correctly, as by math.sqrt; the square root of torch may differ in the last bit.
+        roots = torch.from_numpy(np.sqrt((lengths / self.interval).numpy()))
+        return Factor(roots[:, None, None] * self.chol)
 
 
 def weights_hash(flow: Flow) -> str:

@@ -130,17 +130,17 @@ class FilterState(NamedTuple):
 
 def initial_state(belief: Belief, time: float = 0.0) -> FilterState:
     """Return the initial state of a batch."""
-    device = belief.mean.device
-    zeros = torch.zeros(len(belief.mean), dtype=torch.int64, device=device)
+    device, members = belief.mean.device, (len(belief.mean),)
+    zeros = torch.full(members, 0, dtype=torch.int64, device=device)
     return FilterState(
         belief=belief,
-        time=torch.tensor(time, dtype=torch.float64, device=device),
-        steps=torch.tensor(0, dtype=torch.int64, device=device),
+        time=torch.full((), time, dtype=torch.float64, device=device),
+        steps=torch.full((), 0, dtype=torch.int64, device=device),
         status=zeros,
-        failed_step=zeros - 1,
+        failed_step=torch.full(members, -1, dtype=torch.int64, device=device),
         rejections=zeros,
         repairs=zeros,
-        log_likelihood=zeros.to(torch.float64),
+        log_likelihood=torch.full(members, 0.0, dtype=torch.float64, device=device),
     )
 
 

@@ -17,10 +17,10 @@ from ahnn.numbers import Numbers
 
 
 class StepGrid(NamedTuple):
-    """Time steps: lengths, and end times ()."""
+    """Time steps: T lengths, and end times (T,)."""
 
     lengths: list[float]
-    times: list[Tensor]
+    times: Tensor
 
     @classmethod
     def of(cls, dt: Numbers, steps: int, start: Tensor) -> StepGrid:
@@ -32,8 +32,8 @@ class StepGrid(NamedTuple):
         lengths = checked_steps(dt, steps)
         if lengths.ndim == 0:
             ends = start + lengths * torch.arange(1, steps + 1, device=start.device)
-            return cls([float(lengths)] * steps, list(ends.unbind()))
-        return cls(lengths.tolist(), list((start + lengths.cumsum(0).to(start.device)).unbind()))
+            return cls([float(lengths)] * steps, ends)
+        return cls(lengths.tolist(), start + lengths.cumsum(0).to(start.device))
 
 
 def process_factor(process_noise: ProcessNoise, belief: Belief) -> Callable[[float], Tensor]:

@@ -54,26 +54,39 @@ class StepRecord(NamedTuple):
 
 
 def collected(
-    steps: list[StepRecord], before: MemberState, after: MemberState, measurements: Tensor
+    steps: list[StepRecord], before: MemberState, after: MemberState, present: Tensor, *, whole: bool
 ) -> FilterResult:
-    """Collect step records between two states into a result, NaN after the failure of a member."""
-    present = ~torch.isnan(measurements)
-    failed_step = torch.where(after.alive, -1, (after.failed_step - before.steps).clamp(min=0))
-    valid = _valid(after, failed_step, measurements.shape[1])
-    blank = measurements.new_full(measurements.shape, torch.nan, dtype=torch.float64).transpose(0, 1)
-    nothing = torch.zeros_like(blank[..., 0], dtype=torch.bool)
-    innovations = _joined([(s.innovation, s.length) for s in steps], blank)
-    nis = _joined([(s.nis, s.length) for s in steps], blank[..., 0])
+    """Collect step records between two states into a result, NaN after the failure of a member.
+
+    Args:
+        steps: records of the T steps.
+        before: state before them.
+        after: state after them.
+        present: (B, T, M) bool, the measured components.
+        whole: whether all are measured.
+    """
+    failed_step, valid = after.failed_step, None
+    if bool(after.status.any()):
+        failed_step = torch.where(after.alive, -1, (failed_step - before.steps).clamp(min=0))
+        step = torch.arange(present.shape[1], device=present.device)
+        valid = after.alive[:, None] | (step < failed_step[:, None])
+    batch, _, width = present.shape
+    blank = torch.full((), torch.nan, dtype=torch.float64, device=present.device)
+    innovations = _joined([(s.innovation, s.length) for s in steps], blank, batch, width)
+    nis = _joined([(s.nis, s.length) for s in steps], blank, batch)
+    if not whole:
+        innovations = torch.where(present, innovations, torch.nan)
+        nis = torch.where(present.any(-1), nis, torch.nan)
     return FilterResult(
         initial=before.belief,
         means=_masked(_in_turn([s.posterior.mean for s in steps]), valid),
         chols=_masked(_in_turn([s.posterior.chol for s in steps]), valid),
         predicted_means=_masked(_in_turn([s.predicted.mean for s in steps]), valid),
         predicted_chols=_masked(_in_turn([s.predicted.chol for s in steps]), valid),
-        innovations=_masked(torch.where(present, innovations, torch.nan), valid),
-        nis=_masked(torch.where(present.any(-1), nis, torch.nan), valid),
+        innovations=_masked(innovations, valid),
+        nis=_masked(nis, valid),
         measured=present.sum(-1),
-        rejected=_joined([(s.rejected, s.length) for s in steps], nothing),
+        rejected=_joined([(s.rejected, s.length) for s in steps], present.new_zeros(()), batch),
         log_likelihood=after.log_likelihood,
         status=after.status,
         failed_step=failed_step,
@@ -88,21 +101,13 @@ def _in_turn(parts: list[Tensor]) -> Tensor:
     return torch.cat(parts).transpose(0, 1).contiguous()
 
 
-def _joined(parts: list[tuple[Tensor | None, int]], blank: Tensor) -> Tensor:
-    """Return records of n steps as (B, T, ...), those of `blank`, (T, B, ...), for none."""
-    return _in_turn([blank[:count] if part is None else part.to(blank.dtype) for part, count in parts])
-
-
-def _valid(state: MemberState, failed_step: Tensor, steps: int) -> Tensor | None:
-    """Return the mask of valid steps, (B, T) bool; None if all are valid."""
-    if not bool(state.status.any()):
-        return None
-    step = torch.arange(steps, device=state.status.device)
-    return state.alive[:, None] | (step < failed_step[:, None])
+def _joined(parts: list[tuple[Tensor | None, int]], blank: Tensor, *shape: int) -> Tensor:
+    """Return records of n steps, each of shape (B, ...), as (B, T, ...); `blank` where a step has none."""
+    return _in_turn([blank.expand(n, *shape) if part is None else part for part, n in parts])
 
 
 def _masked(values: Tensor, valid: Tensor | None) -> Tensor:
-    """Return values (B, T, ...) with NaN at invalid steps."""
+    """Return values (B, T, ...) with NaN where the mask (B, T) is false; all values for None."""
     if valid is None:
         return values
     return torch.where(valid.reshape(valid.shape + (1,) * (values.ndim - 2)), values, torch.nan)

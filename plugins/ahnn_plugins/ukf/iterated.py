@@ -111,7 +111,7 @@ def iterated_smoother(
             )
 
         step = stepper(SigmaPoints(weights, SQUARE_ROOT), smoothing=True)
-        return unscented_smoother(run(begin, RunPlan(rows, grid, line), step))
+        return unscented_smoother(run(begin, RunPlan.of(rows, grid, line), step))
 
     current, change, count = _settled(_of(guess, there), relinearised, iterations)
     lost = change.new_full((batch,), torch.inf)

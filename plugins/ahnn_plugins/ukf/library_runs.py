@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
 import torch
@@ -120,11 +121,16 @@ def supported(state: FilterState, kernel: SigmaPoints, sensor: SensorModel, *ten
     return known and members.apply_to(weights, mean, chol, sensor.chol_r, *tensors)
 
 
+@cache
+def _half(periods: tuple[float, ...]) -> Tensor:
+    return 0.5 * torch.tensor(periods, dtype=torch.float64)
+
+
 def done_steps(state: FilterState, weights: SigmaWeights, steps: RunSteps) -> DoneSteps:
     """Execute steps that are supported, until one needs a decision."""
     thresholds, sensor = steps.sensor.thresholds, steps.sensor
     most = steps.most if thresholds is None else min(steps.most, float(thresholds[-1]))
-    half = 0.5 * steps.rows.new_tensor(periods(sensor.measurement))
+    half = _half(periods(sensor.measurement))
     points = draw(state.belief, weights)
     moved, results = torch.empty_like(points), members.results(len(steps.measured), half.numel(), points)
     known = getattr(steps.flow, "as_compiled", None)

@@ -14,11 +14,14 @@ from ahnn.estimation.belief import Belief
 from ahnn.estimation.loop import RunPlan, StepModel, stepper
 from ahnn.estimation.state import FilterState
 from ahnn.estimation.step_records import StepRecord
+from ahnn.rollouts import clock_of
 from ahnn_plugins.ukf.library_runs import RunSteps, done_steps, supported
 from ahnn_plugins.ukf.unscented_kernel import SigmaPoints
 
 FIRST, MOST = 32, 256
-"""Steps of the first library call, and most steps of one; after a call without a decision twice as many."""
+"""Fewest steps of the first library call, and most steps of one."""
+ROWS = 4096
+"""Rows of all members in the first library call; after a call without a decision twice as many steps."""
 
 
 class WholeSteps:
@@ -32,13 +35,11 @@ class WholeSteps:
 
     def __init__(self, plan: RunPlan, kernel: SigmaPoints, *, smoothing: bool = False) -> None:
         weights, form, _ = kernel
-        missing = torch.isnan(plan.rows).transpose(0, 1).flatten(1)
-        self.whole, empty = (~missing.any(1)).tolist(), missing.all(1).tolist()
         known = not smoothing and form.read is not None and weights.crowding is None
-        self.possible = [known and (a or b) for a, b in zip(self.whole, empty, strict=True)]
+        self.possible = [known and (a or not b) for a, b in zip(plan.whole, plan.some, strict=True)]
         self.plan, self.kernel, self.smoothing = plan, kernel, smoothing
         self.rows = plan.rows.transpose(0, 1)
-        self.ahead = FIRST
+        self.ahead = min(MOST, max(FIRST, ROWS // len(plan.rows)))
         self.points: Tensor | None = None  # after the flow of a step that is not whole
 
     def __call__(
@@ -62,24 +63,23 @@ class WholeSteps:
         if not self.possible[k] or not supported(state, *given):
             return None
         lengths, times = self.plan.grid
-        end = k + 1
-        while end < min(k + self.ahead, len(lengths)) and self.possible[end] and self._alike(end, model):
+        end, last, models = k + 1, min(k + self.ahead, len(lengths)), self.plan.models
+        while end < last and self.possible[end] and models(end) is model:
             end += 1
-        measured = self.whole[k:end]
-        starts, steps = [state.time, *times[k : end - 1]], torch.tensor(lengths[k:end], dtype=torch.float64)
-        own = model.flow, starts, steps, model.chol_q[None], measured, self.rows[k:end][measured]
-        count, results, self.points = done_steps(state, self.kernel.weights, RunSteps(*own, model.sensor))
-        self.ahead = min(2 * self.ahead, MOST) if count == end - k else max(1, count)
+        measured, rows = self.plan.whole[k:end], self.rows[k:end]
+        rows = rows if all(measured) else rows[measured]
+        starts = [state.time, *times[k : end - 1].unbind()] if clock_of(model.flow) else ()
+        own = model.flow, starts, torch.tensor(lengths[k:end], dtype=torch.float64), model.chol_q[None]
+        asked = RunSteps(*own, measured, rows, model.sensor)
+        count, results, self.points = done_steps(state, self.kernel.weights, asked)
+        if count == end - k:
+            self.ahead = min(2 * self.ahead, MOST)
+            return _recorded(state, results, measured, times[k + count - 1])
+        self.ahead = max(1, count)
         if not count:
             return None
-        return _recorded(
-            state, tuple(part[:count] for part in results), measured[:count], times[k + count - 1]
-        )
-
-    def _alike(self, k: int, model: StepModel) -> bool:
-        """Return whether a step has the models of another."""
-        other = self.plan.models(k)
-        return all(a is b for a, b in zip(other, model, strict=True))
+        done = tuple(part[:count] for part in results)
+        return _recorded(state, done, measured[:count], times[k + count - 1])
 
 
 def _recorded(

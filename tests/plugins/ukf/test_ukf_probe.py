@@ -41,7 +41,10 @@ def test_numbers_of_a_usual_size_are_taken(form, system):
         ({"process_noise": [1e300, 1.0]}, "process_noise: expected standard deviations"),
         ({"measurement_sd": 1e-140}, "received a filter that is IMPRECISE after one measurement"),
         ({"start_sd": [1e-40, 1e-40]}, "received a filter that is COLLAPSED"),
-        ({"start_sd": [1e9, 1e9], "measurement_sd": 1e-9, "form": "standard"}, "COLLAPSED after one"),
+        (
+            {"start_sd": [1e9, 1e9], "measurement_sd": 1e-9, "form": "standard"},
+            "(COLLAPSED|IMPRECISE) after one",
+        ),
         ({"process_noise": {"size": 1e200, "memory": 1.0}}, "received a filter that"),
         ({"alpha": 1e-12}, "received a filter that is IMPRECISE"),
     ],

@@ -166,4 +166,4 @@ def test_gradients_take_single_steps():
 
 def test_the_form_says_whether_there_are_whole_steps():
     kernel = SigmaPoints(None, SQUARE_ROOT._replace(read=None))
-    assert WholeSteps(RunPlan(rows(1), None, None), kernel).possible == [False] * STEPS
+    assert WholeSteps(RunPlan.of(rows(1), None, None), kernel).possible == [False] * STEPS
