@@ -33,7 +33,8 @@ def require_same_states(runs: Sequence[Run]) -> None:
     first = runs[0].space._replace(name="")
     for other in runs[1:]:
         if (space := other.space._replace(name="")) != first:
-            message = f"run: expected runs of the same states and units; received {first} and {space}"
+            expected = "runs with the same state components and units"
+            message = f"run: expected {expected}; received {first} and {space}"
             raise UserError(message)
 
 

@@ -78,7 +78,7 @@ def atomic_file(path: Path, mark: str = "") -> Iterator[BinaryIO]:
         except BaseException as error:
             temporary.unlink(missing_ok=True)
             if isinstance(error, OSError):
-                error.filename = str(path)  # a full disk gives no file name
+                error.filename = str(path)  # the error for a full disk has no file name
             raise
 
 

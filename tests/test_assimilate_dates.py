@@ -79,7 +79,10 @@ def test_a_stream_turns_stations_with_the_earth(caplog, capsys):
     Path("seen.csv").write_text("\n".join([text[0], text[4]]) + "\n")
     command[-1] = "output=degrees.csv"
     assert call("ahnn.assimilate", *command) == 2
-    assert "received 40. Degrees? Name it elevation [deg]" in capsys.readouterr().err
+    assert (
+        "received 40. If the values are in degrees, name the column elevation [deg]"
+        in capsys.readouterr().err
+    )
     assert not Path("degrees.csv").exists()
 
 

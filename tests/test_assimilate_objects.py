@@ -112,7 +112,7 @@ MISTAKES = {
     "watch=true": "watch: expected none with objects=sat; received one",
     "oem=a.oem": "oem: expected none with objects=sat; received one",
     "states=out.csv": "received one path twice",
-    "states=last.txt": "output: expected a file .csv, .parquet, .oem, .xml",
+    "states=last.txt": "output: expected a .csv, .parquet, .oem or .xml file",
     "plugins=enkf": "process: expected a Gaussian filter, such as ukf or ekf; received enkf",
 }
 

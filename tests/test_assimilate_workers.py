@@ -111,7 +111,7 @@ MISTAKES = {
     "state=starts.csv": "state: expected a folder with workers=2; received starts.csv, a file",
     "measurements=-": "measurements: expected a FILE that every worker reads with workers=2; received -",
     "shard=1/2": "shard: expected none, since workers have one each with workers=2; received 1/2",
-    "states=last.txt": "output: expected a file .csv, .parquet, .oem, .xml",
+    "states=last.txt": "output: expected a .csv, .parquet, .oem or .xml file",
     "output=fixes.csv": "received fixes.csv",
     "objects=null": "workers: expected workers=2 with objects=COLUMN; received no objects",
 }

@@ -61,10 +61,8 @@ class Layout:
             raise UserError(message)
         self.known |= {objects} - {""}
         self.foreign = {key: self.measured - _keys(sensor) for key, sensor in sensors.items()}
-        if clash := self.measured & {*controls}:
-            message = (
-                f"measurements: expected sensors that do not measure controls; received {', '.join(clash)}"
-            )
+        if clash := ", ".join(self.measured & {*controls}):
+            message = f"measurements: expected sensors that do not measure controls; received {clash}"
             raise UserError(message)
         self.said: set[tuple[str, str]] = set()
         self.levelled = False  # an elevation was within its limits
@@ -132,7 +130,8 @@ class Layout:
                 continue
             if abs(value) > math.pi / 2:
                 message = (
-                    f"{name}: expected at most pi/2 rad; received {value:g}. Degrees? Name it {name} [deg]"
+                    f"{name}: expected at most pi/2 rad; received {value:g}. "
+                    f"If the values are in degrees, name the column {name} [deg]"
                 )
                 raise BadLine(message) if self.levelled else UserError(message)
             self.levelled |= not math.isnan(value)

@@ -1,4 +1,4 @@
-"""Rejection of keys in shared nodes to which nothing refers."""
+"""Rejection of unreferenced keys in shared nodes."""
 
 from __future__ import annotations
 

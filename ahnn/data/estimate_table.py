@@ -53,7 +53,7 @@ def rows_of(path: Path) -> Iterator[dict[str, Any]]:
 
 
 def last_estimate(path: Path, space: Space) -> Last:
-    """Read the last estimate of an output, in the units of a space.
+    """Read the last estimate in an output file, converted to the units of `space`.
 
     Raises:
         UserError: there is no estimate, or it belongs to another space.

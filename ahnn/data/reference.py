@@ -112,7 +112,7 @@ class Reference(NamedTuple):
         """Name the Earth as the centre of its frames, of positions in km or m, where none is stated."""
         if self.center or self.frame not in EARTHLY or length not in ("km", "m"):
             return self
-        log.info("center: none stated; EARTH is taken, the centre of %s", self.frame)
+        log.info("center: not stated; EARTH, the centre of %s, is assumed", self.frame)
         return self._replace(center=BODY)
 
     def turn(self, ours: Reference, who: str) -> str | None:

@@ -137,7 +137,7 @@ def of_plain(path: Path, space: Space) -> Starts:
         content = plain_yaml(decoded(content_of(path), path))
     except (yaml.YAMLError, RecursionError) as error:
         reason = " ".join(str(error).split())
-        message = f"start: expected a file with mean and sd or covariance; received {path} ({reason})"
+        message = f"start: expected a file with mean and either sd or covariance; received {path} ({reason})"
         raise UserError(message) from error
     unknown = {str(key) for key in content} - KEYS if isinstance(content, dict) else {"no keys"}
     if unknown or "mean" not in content or {"sd", "covariance"} <= content.keys():

@@ -47,7 +47,8 @@ def can_run(starts: Sequence[Tensor], layers: Sequence[Layers], schemes: Sequenc
 
 
 class _Steps(Function):
-    """The steps of E fields; the tensors are start and layers of each."""
+    """Steps of E fields in one call; the tensor arguments are the initial states and layer weights of each
+    field."""
 
     @staticmethod
     def forward(ctx: Any, schemes: Sequence[Scheme], *given: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Runs of steps of one member, filtered at once while no step needs a decision."""
+"""Sequences of consecutive steps of one member, filtered in one call as long as no step needs a decision."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def worth(case: Case, prediction: Tensor, floor: Tensor | None = None) -> Worth:
 def relative_error(prediction: Tensor, truth: Tensor) -> float:
     """Return the error of predictions (B, T, D), as in the table: the mean over trajectories of the rms.
 
-    Components are divided by their standard deviations; a non-finite error is infinite.
+    Components are divided by their standard deviations; a non-finite error is returned as infinity.
     """
     known = truth.isfinite()
     count = known.sum((0, 1))

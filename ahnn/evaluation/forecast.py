@@ -170,7 +170,7 @@ class Variances(NamedTuple):
         """Compute variances from the columns of `forecast_columns`.
 
         Args:
-            causes: columns for the given number of parameters.
+            causes: pairs of noise and parameter columns, as returned by `forecast_columns`.
             of_state: derivatives of measurements, (B, K + 1, M, D).
             there: mask of states counted in `within`, (B, K + 1, D).
             columns: number of parameter columns.

@@ -28,7 +28,7 @@ def require_output(path: Path, starts: Starts, space: Space) -> None:
             with epoch.
     """
     if path.suffix.lower() not in SUFFIXES or not path.parent.is_dir() or path.is_dir():
-        message = f"output: expected a file {', '.join(SUFFIXES)} in a folder that exists; received {path}"
+        message = f"output: expected {_file_of(SUFFIXES)}; received {path}"
         raise UserError(message)
     require_own([path], "output")
     if path.suffix.lower() in MESSAGES:
@@ -36,6 +36,11 @@ def require_output(path: Path, starts: Starts, space: Space) -> None:
         ephemerides(nothing, starts, space)
     else:
         sidecar.require_place(path)
+
+
+def _file_of(suffixes: tuple[str, ...]) -> str:
+    """Describe a valid output file, for messages."""
+    return f"a {', '.join(suffixes[:-1])} or {suffixes[-1]} file in an existing folder"
 
 
 def require_other(path: Path, start: Path) -> None:
@@ -63,7 +68,7 @@ def write(path: Path, prediction: Prediction, starts: Starts, space: Space) -> N
 def require_figure(path: Path) -> None:
     """Raise UserError for a figure that cannot be written."""
     if path.suffix.lower() not in PICTURES or not path.parent.is_dir():
-        message = f"figure: expected a file {', '.join(PICTURES)} in a folder that exists; received {path}"
+        message = f"figure: expected {_file_of(PICTURES)}; received {path}"
         raise UserError(message)
     require_own([path], "figure")
 

@@ -87,8 +87,8 @@ def models(epochs: int, *fields: str, **more: tuple[str, ...]) -> dict[str, tupl
 
     Args:
         epochs: number of training epochs, on all windows.
-        fields: overrides of models with a field.
-        more: further rows.
+        fields: overrides for the models that learn a vector field.
+        more: overrides of additional models, by name.
     """
     budget = (f"trainer.max_epochs={epochs}", "data.windows_per_epoch=null", "plugins=none")
     named = {

@@ -52,12 +52,12 @@ class Residuals(NamedTuple):
 
 
 class FoundNoise(NamedTuple):
-    """Noise of M numbers.
+    """Noise of M measured components.
 
     Attributes:
         scales: standard deviations, relative to the stated ones, (M,).
         colour: coloured part; None for white noise.
-        tails: Student's noise of each number; None if not estimated.
+        tails: Student's noise of each component; None if not estimated.
     """
 
     scales: Tensor
@@ -66,7 +66,7 @@ class FoundNoise(NamedTuple):
 
     @property
     def freedom(self) -> Tensor | None:
-        """Degrees of freedom (M,), inf where the noise is normal; None if it is in all numbers."""
+        """Degrees of freedom (M,), inf where the noise is normal; None if all M components are normal."""
         found = torch.tensor([tail.freedom for tail in self.tails or ()], dtype=torch.float64)
         return None if bool(found.isinf().all()) else found
 

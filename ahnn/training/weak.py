@@ -101,7 +101,7 @@ class WeakProblem:
         order = self.motion.order
         width = batch.instrument.width * (WIDTHS[order] if bool(present.all()) else 1)
         self.tests = bumps(times[kept], present[kept], width, order)
-        anywhere = batch.values.nanmean(1, keepdim=True)  # replaces samples whose sums are ignored
+        anywhere = batch.values.nanmean(1, keepdim=True)  # for missing samples; sums with them are ignored
         self.values = torch.where(batch.values.isnan(), anywhere, batch.values)
         self.count = int(self.tests.there.sum()) * self.values.shape[-1] * (len(self.values) if alike else 1)
         self.factor = self._factor()

@@ -184,9 +184,9 @@ MISTAKES = {
     "step": ([MOLNIYA, START, "duration=1h", "step=0"], "step: expected a positive duration"),
     "too long": ([MOLNIYA, START, "duration=1e18"], "duration and step: expected"),
     "too short a step": ([MOLNIYA, START, "duration=1d", "step=1e-320"], "duration and step: expected"),
-    "suffix": ([MOLNIYA, START, "duration=1h", "output=out.xls"], "output: expected a file .csv"),
-    "folder": ([MOLNIYA, START, "duration=1h", "output=no/out.csv"], "in a folder that exists"),
-    "picture": ([MOLNIYA, START, "duration=1h", "figure=out.gif"], "figure: expected a file .png"),
+    "suffix": ([MOLNIYA, START, "duration=1h", "output=out.xls"], "output: expected a .csv"),
+    "folder": ([MOLNIYA, START, "duration=1h", "output=no/out.csv"], ".xml file in an existing folder"),
+    "picture": ([MOLNIYA, START, "duration=1h", "figure=out.gif"], "figure: expected a .png or .svg file"),
     "frame": ([MOLNIYA, START, "duration=1h", "output=o.oem"], "frame: expected frame, centre"),
     "epoch": ([MOLNIYA, START, "duration=1h", "epoch=noon"], "epoch: expected an epoch such as"),
     "no epoch": (
@@ -220,7 +220,7 @@ def test_a_mistake_is_one_message_and_nothing_is_written(name, here, capsys):
 def test_runs_of_other_states_do_not_mix(here, cache, capsys):
     small(here / "one", cache)
     assert call("ahnn.predict", "run=[one,molniya_mechanical]", "start=[1,2]", "duration=1") == 2
-    assert "expected runs of the same states" in capsys.readouterr().err
+    assert "expected runs with the same state components" in capsys.readouterr().err
 
 
 def test_parquet_without_pyarrow_names_the_extra(monkeypatch):

@@ -174,7 +174,7 @@ def test_frames_of_the_earth_have_it_as_centre(caplog):
     known = [f"start={STATE.tolist()}", "epoch=2024-03-01T12:00:00", *SHORT]
     assert call("ahnn.predict", MOLNIYA, *known, "frame=EME2000", "output=out.oem") == 0
     assert read_oem("out.oem")[0].center == "EARTH"
-    assert caplog.text.count("center: none stated; EARTH is taken, the centre of EME2000") == 1
+    assert caplog.text.count("center: not stated; EARTH, the centre of EME2000, is assumed") == 1
     for other in (Reference("ICRF"), Reference("EME2000", "SUN")):
         assert other.centred("km") == other
     assert Reference("GCRF").centred("au").center == ""

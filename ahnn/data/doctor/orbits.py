@@ -113,7 +113,7 @@ def misfit(times: Array, positions: Array, bodies: Collection[float], *, turned:
         times: (T,), s.
         positions: (T, 3), km.
         bodies: values of mu in km^3/s^2, of which the best is used.
-        turned: whether to transform positions from an Earth-rotating frame first.
+        turned: whether to transform the positions from an Earth-fixed frame first.
     """
     if turned:
         c, s = np.cos(TURN * times), np.sin(TURN * times)

@@ -73,7 +73,7 @@ class Recordings(ABC):
             (_, file, row, column, what, remedy), rest = faults[0], len(faults) - 1
             more = f", and {rest} more" if rest else ""
             expected = f"{Place(file, row, column)}: expected valid data; received: {what}{more}. {remedy}"
-            message = f"{expected}. {self.lists}system.unsound=true trains anyway"
+            message = f"{expected}. {self.lists}Set system.unsound=true to train anyway"
             raise UserError(message)
 
     @abstractmethod

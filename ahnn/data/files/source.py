@@ -41,7 +41,7 @@ class Files(Recordings):
         UserError: a file that cannot be read, with row and column, or incompatible files.
     """
 
-    lists = "`python -m ahnn.data check` lists all; "
+    lists = "`python -m ahnn.data check` lists all faults. "
 
     def __init__(
         self,

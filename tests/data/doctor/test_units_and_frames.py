@@ -181,7 +181,7 @@ def test_a_training_asks_first(mislabelled, tmp_path, capsys):
         "swings.csv, row 1, column v: expected valid data; received: v is 100 times the change of q per s"
         in said
     )
-    assert "`python -m ahnn.data check` lists all; system.unsound=true trains anyway" in said
+    assert "`python -m ahnn.data check` lists all faults. Set system.unsound=true to train anyway" in said
     assert not (tmp_path / "run").exists()
     Files("springs", str(mislabelled), unsound=True).check()
     with pytest.raises(UserError, match="expected valid data"):
