@@ -102,7 +102,7 @@ def require_last(folder: Path, about: dict[str, Any]) -> None:
     if monitor is not None and about.get("val_loss") is not None:
         message = (
             f"run {folder}: expected checkpoints/best.ckpt, the weights with the smallest {monitor}; "
-            "received none. ckpt=last takes the last weights"
+            "received none. Set ckpt=last to use the last weights"
         )
         raise UserError(message)
     log.warning("run %s: no validation chose the best weights; the last ones are used", folder)
@@ -134,7 +134,7 @@ def made(weights: Weights, folder: Path) -> Run:
         )
         raise UserError(message) from error
     if not all(bool(tensor.isfinite().all()) for tensor in weights.state.values()):
-        message = f"run {folder}: expected finite weights; received nan or inf. Take another checkpoint"
+        message = f"run {folder}: expected finite weights; received nan or inf. Use another checkpoint"
         raise UserError(message)
     return Run(dynamics.eval().requires_grad_(False), space, about.dt, weights.about, folder, domain)
 

@@ -23,5 +23,8 @@ def library(module: str, package: str, extra: str, purpose: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        message = f"{purpose}: expected the package {package}; received none. pip install 'ahnn[{extra}]'"
+        message = (
+            f"{purpose}: expected the package {package}; received none. Install it with pip install "
+            f"'ahnn[{extra}]'"
+        )
         raise UserError(message) from error

@@ -164,8 +164,8 @@ class Run:
         """
         if self.uncertainty is None:
             message = (
-                f"band: expected {FILE} in {self.folder}, of these weights; received none. Only training on "
-                "measurements writes it, for the best weights"
+                f"band: expected {FILE} of these weights in {self.folder}; received none. It is written only "
+                "by training on measurements, for the best weights"
             )
             raise UserError(message)
         dt = self.dt if dt is None else dt

@@ -110,7 +110,7 @@ def read_about(who: str, content: Any) -> tuple[About, Space]:
         raise UserError(message)
     if len({*names, *said.controls, ""}) <= len(names) + len(said.controls):
         message = (
-            f"{who}.space.controls: expected different names, none a component; received "
+            f"{who}.space.controls: expected different names, none of them a component; received "
             f"{str(said.controls)[:200]}"
         )
         raise UserError(message)

@@ -138,7 +138,9 @@ def _on_processes(function: Callable[[Item], Result], items: Sequence[Item], cou
 
 
 def _killed() -> TrainingError:
-    message = f"workers: expected a worker that lives; received one that was killed, {STARTS} times in a row"
+    message = (
+        f"workers: expected workers that keep running; received one that was killed {STARTS} times in a row"
+    )
     return TrainingError(f"{message}. Check the memory of its machine, and repeat the command")
 
 

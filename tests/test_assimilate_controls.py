@@ -55,7 +55,7 @@ def test_columns_and_a_file_of_controls_give_the_same_estimates(words, caplog):
     ahead = ["measurements=alone.csv", "controls=pushes.csv", "output=ahead.csv"]
     assert call(*words, *ahead) == 0
     assert numbers(row for row in rows() if row["time"] != "0.13") == numbers(rows("ahead.csv"))
-    assert "controls: the last of pushes.csv, at 0.3, are held to the end, at 0.4" in caplog.text
+    assert "controls: the last values of pushes.csv, at 0.3, are held until the end, at 0.4" in caplog.text
     assert "2 predicted, 3 taken" in caplog.text
 
 
@@ -89,7 +89,7 @@ MISTAKES = {
     "measurements=alone.csv": "controls: expected values at the start, time 0; received none before",
     "measurements=fixes.csv controls=pushes.csv": "expected controls either in a table or in readings",
     "measurements=alone.csv controls=none.csv": "controls: expected numbers or a file; received none.csv: No",
-    "measurements=alone.csv controls=[1,2]": "controls: expected a FILE with time and u, or numbers that are",
+    "measurements=alone.csv controls=[1,2]": "controls: expected a FILE with time and u, or constant numbers",
     "measurements=alone.csv controls=[a]": "controls: ",
     "measurements=alone.csv controls=pushes.csv time=-1": "expected values at the start, time -1; received",
     "measurements=alone.csv controls=fixes.csv": "column u: expected a number in each row; received none",

@@ -90,7 +90,10 @@ def test_rows_in_no_order_are_named(capsys):
     head, *lines = Path("fixes.csv").read_text().splitlines()
     Path("fixes.csv").write_text("\n".join([head, lines[8], lines[9], *lines[:8]]) + "\n")
     assert assimilate(*NUMBERS, PLAIN) == 3
-    said = "received 8 late of 10 lines. Check units, order of columns and rows, stations and start, and sort"
+    said = (
+        "received 8 late of 10 lines. Check the units, the order of columns and rows, the stations and the "
+    )
+    said += "start, and sort"
     assert said in capsys.readouterr().err
 
 
@@ -103,7 +106,7 @@ def test_the_time_of_a_start_is_a_number_or_a_date(caplog):
     lines = Path("fixes.csv").read_text().replace("\n3", "\n900003").replace("\n4", "\n900004")
     Path("far.csv").write_text(lines)
     assimilate(*numbers, "measurements=far.csv", "gap=1e7")
-    assert caplog.text.count("start: its time is taken as 0, and the first measurement is at 9") == 1
+    assert caplog.text.count("start: no time is stated; 0 is assumed, but the first measurement is at 9") == 1
 
 
 def test_a_dated_stream_resumes_and_names_epochs(caplog):

@@ -80,7 +80,7 @@ def test_outliers_do_not_spoil_the_fit():
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["fitted=1"], "start: expected 6 numbers or more, at two times or more; received 1 measure"),
+        (["fitted=1"], "start: expected 6 values or more, at two times or more; received 1 measure"),
         (["fitted=41"], "received 41 of 41 fitted. The start uses all of them"),
         (["measurements=-"], "start: expected measurements=FILE with start=fit"),
         (["start_sd=[1,1]"], "start_sd: expected none with start=fit"),

@@ -130,7 +130,7 @@ def test_a_mistake_is_one_message_and_leaves_nothing(place, capsys, words):
 @pytest.mark.usefixtures("place")
 def test_states_without_objects_are_refused(capsys):
     assert assimilate(GIVEN[0], *GIVEN[2:], "states=a.csv") == 2
-    assert "with objects=COLUMN; received no objects" in capsys.readouterr().err
+    assert "expected objects=COLUMN with" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("place")

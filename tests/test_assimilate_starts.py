@@ -145,7 +145,7 @@ def test_the_covariance_of_an_earlier_state_is_carried_to_the_last_one_by_the_mo
     assert float(row["x"]) == pytest.approx(float(ORBIT[20, 0]), rel=1e-14)
     assert float(row["cov_x_x"]) == pytest.approx(float(carried[0, 0]), rel=1e-9)
     assert abs(float(row["cov_x_x"]) - P[0, 0]) > 1e-3 * P[0, 0]
-    assert "its covariance is propagated by the model from a state 300 s earlier" in caplog.text
+    assert "the covariance is propagated by the model from a state 300 s earlier" in caplog.text
     write_start(known=100.0)  # of no state
     assert assimilate(START, DATED, "output=b.csv") == 2
     assert assimilate(START, DATED, "output=b.csv", "start_sd=[0.1,1e-4]") == 0

@@ -113,7 +113,7 @@ MISTAKES = {
     "shard=1/2": "shard: expected none, since workers have one each with workers=2; received 1/2",
     "states=last.txt": "output: expected a .csv, .parquet, .oem or .xml file",
     "output=fixes.csv": "received fixes.csv",
-    "objects=null": "workers: expected workers=2 with objects=COLUMN; received no objects",
+    "objects=null": "workers: expected objects=COLUMN with workers=2; received no objects",
 }
 
 
@@ -149,7 +149,7 @@ def test_what_others_changed_is_neither_joined_nor_replaced(capsys):
 def test_ray_that_is_not_installed_is_one_message(place, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "ray", None)
     assert assimilate(*GIVEN, "output=all.csv", "state=parts", "workers=ray:2") == 2
-    message = "workers: expected the package ray; received none. pip install 'ahnn[ray]'"
+    message = "workers: expected the package ray; received none. Install it with pip install 'ahnn[ray]'"
     assert message in capsys.readouterr().err
     assert sorted(path.name for path in place.iterdir()) == ["fixes.csv", "starts.csv"]
 

@@ -90,7 +90,7 @@ MISTAKES = {
     "optimizer=levenberg_marquardt trainer.gradient_clip_val=1.0": "or choose recipe=first_order",
     "+trainer.accumulate_grad_batches=0": "trainer.accumulate_grad_batches: expected int >= 1; received 0",
     f"optimizer=adamw {COSINE} scheduler.T_max=x": "scheduler.T_max: expected int; received 'x'",
-    f"optimizer=adamw {COSINE} scheduler.T_max=0": "scheduler: it cannot take a step",
+    f"optimizer=adamw {COSINE} scheduler.T_max=0": "scheduler: expected settings that allow a step",
     f"{GL4} integrator.tolerance=x": "integrator gl4.tolerance: expected float > 0 and < 1; received 'x'",
     f"{GL4} integrator.tolerance=null": "integrator gl4.tolerance: expected float > 0 and < 1; received None",
     f"{GL4} integrator.max_iterations=x": "integrator gl4.max_iterations: expected int",

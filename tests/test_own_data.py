@@ -63,7 +63,7 @@ def test_states_of_a_file_train_resume_and_are_known_again(tmp_path, capfd):
     assert call("ahnn.train", *given, "trainer.max_epochs=1", "ckpt=last") == 0
     assert call("ahnn.evaluate", run, "name=same") == 0
     assert call("ahnn.evaluate", run, "name=cut", "system.cut=30") == 2
-    assert "system: expected the training's files with its settings" in capfd.readouterr().err
+    assert "system: expected the files of the training and their settings" in capfd.readouterr().err
     data.write_text(data.read_text().replace("0,0.05,", "0,0.051,", 1))
     assert call("ahnn.train", *given, "trainer.max_epochs=1", "ckpt=last") == 2
     assert "files" in capfd.readouterr().err
@@ -180,7 +180,7 @@ HUBER = ("loss.robust=huber", "recipe=measurements", "hamiltonian=mechanical")
         ),
         (
             ["data.noise=0.01", "data.correlation=estimate", *HUBER],
-            "data.correlation: expected loss.robust=none with it; received loss.robust=huber",
+            "data.correlation: expected loss.robust=none; received loss.robust=huber",
         ),
         (
             ["data.noise=0.01", "data.bias_sd=-1", "recipe=measurements", "hamiltonian=mechanical"],

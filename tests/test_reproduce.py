@@ -164,7 +164,10 @@ def test_the_rows_are_those_of_the_paper():
         (["system=kepler"], "system: expected one of mass_spring, molniya; received kepler"),
         (["system=molniya", "budget=tiny"], "budget: expected one of smoke, laptop, paper; received tiny"),
         (["system=molniya", "ckpt=last"], "ckpt: expected none"),
-        ([*TINY, "data.windows_per_epoch=100000"], "expected equal steps for all models; received"),
+        (
+            [*TINY, "data.windows_per_epoch=100000"],
+            "expected equal numbers of steps for all models",
+        ),
         ([*TINY, "optimizer.lrr=1"], "unknown key 'optimizer.lrr'"),
         ([*TINY, "experiment=paper_hmm"], "experiment: unknown option 'paper_hmm'"),
     ],

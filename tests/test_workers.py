@@ -65,7 +65,7 @@ def test_the_error_of_a_task_is_that_of_the_command():
 
 
 def test_a_task_that_is_killed_each_time_ends_with_a_message():
-    with pytest.raises(TrainingError, match=f"received one that was killed, {STARTS} times in a row"):
+    with pytest.raises(TrainingError, match=f"received one that was killed {STARTS} times in a row"):
         TWO.map(killed, [0])
 
 

@@ -201,7 +201,8 @@ class Catalogue:
             raise UserError(message)
         if len(sensors) and not -1 <= sensors.min() <= sensors.max() < len(self.sensors):
             message = (
-                f"readings: expected sensor numbers from -1 to {len(self.sensors) - 1}; received one outside"
+                f"readings: expected sensor numbers from -1 to {len(self.sensors) - 1}; received a number "
+                "outside this range"
             )
             raise UserError(message)
         for k, (name, sensor) in enumerate(self.sensors.items()):

@@ -89,7 +89,7 @@ class CatalogueSession(StreamSession):
             for numbers, columns in self.lines.batches(self.every):
                 parser = self._parser(self.lines.header)
                 if self.layout is None or self.layout.names is None:
-                    message = "measurements: expected columns with names; received JSON"
+                    message = "measurements: expected a table with column names; received JSON"
                     raise UserError(message)
                 yield parser.of_columns(numbers, dict(zip(self.layout.names, columns, strict=True)))
             return
@@ -123,7 +123,9 @@ class CatalogueSession(StreamSession):
                 bad[parsed.lines[k]] = reason
             else:
                 name, line = parsed.table.objects[k], parsed.lines[k]
-                log.warning("line %d: object %s: %s. Its later lines are ignored", line, name, reason)
+                log.warning(
+                    "line %d: object %s: %s. Later lines of this object are ignored", line, name, reason
+                )
         counts = np.bincount(found.fates, minlength=len(FATES)).tolist()
         self.counts.update({fate: count for fate, count in zip(FATES, counts, strict=True) if count})
         self.counts.update({"bad": len(parsed.bad)} if parsed.bad else {})

@@ -40,7 +40,8 @@ class Journal(io.RawIOBase):
         """
         if os.path.lexists(self.path):
             message = (
-                f"state: expected the state of the journal {self.path}; received none. Remove the journal"
+                f"state: expected the state that belongs to the journal {self.path}; received none. Remove "
+                "the journal"
             )
             raise UserError(message)
         self.saved(0)
@@ -55,7 +56,7 @@ class Journal(io.RawIOBase):
             head, *pieces = _pieces(read_whole(self.path, available()))
             self._base, content = int(head), b"".join(pieces)
             if not 0 <= place - self._base <= len(content):
-                message = f"the part from {self._base} to {self._base + len(content)}, without {place}"
+                message = f"one from {self._base} to {self._base + len(content)}, without byte {place}"
                 raise ValueError(message)  # noqa: TRY301 - one message for every kind of damage
         except (OSError, ValueError) as error:
             message = (

@@ -70,7 +70,7 @@ class Layout:
         self.scales: dict[str, float] = {}
         if "\r" in first.strip():
             message = (
-                "measurements: expected lines that end with LF; received CR. tr '\\r' '\\n' converts them"
+                "measurements: expected lines that end with LF; received CR. Convert them with tr '\\r' '\\n'"
             )
             raise UserError(message)
         if not first.lstrip().startswith("{"):
@@ -214,7 +214,7 @@ class Layout:
             return name
         if ("", name) not in self.said:
             self.said.add(("", name))
-            log.info("measurements: %s is taken as the control %s", name, ours)
+            log.info("measurements: %s is used as the control %s", name, ours)
         return ours
 
     def _deviations(

@@ -208,7 +208,7 @@ class Output:
         if line is not None and (found := self._cut_back(rows, line, tail)):
             self.close()
             message = (
-                f"output: expected {path} unchanged, {size} bytes and rows of later lines; received "
+                f"output: expected {path} with {size} unchanged bytes, then rows of later lines; received "
                 f"{found}. Start over with a new state and output"
             )
             raise UserError(message)
@@ -271,7 +271,7 @@ def require_new(path: str) -> None:
 def _opened(path: Path, *, new: bool) -> BinaryIO:
     """Open and lock a file; raises UserError if another process writes it or an expected file is missing."""
     if not (new or path.exists()):
-        message = f"output: expected {path} unchanged; received none. Start over with a new state"
+        message = f"output: expected {path} unchanged; received no file. Start over with a new state"
         raise UserError(message)
     path.parent.mkdir(parents=True, exist_ok=True)
     file = path.open("r+b" if path.exists() else "x+b")

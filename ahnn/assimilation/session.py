@@ -136,7 +136,7 @@ class Session(StreamSession):
             log.info("line %d: %s; skipped", number, error)
             return
         except Diverged as error:
-            message = f"line {number}: {error}. Start over with another start, or more noise"
+            message = f"line {number}: {error}. Start over with a different start, or with more noise"
             raise TrainingError(message) from error
         for reading, estimate in zip(readings, estimates, strict=False):
             number = lines.popleft().number
@@ -175,7 +175,8 @@ class Session(StreamSession):
         """Warn of a first measurement far from a start without a stated time."""
         if self.undated and abs(time - self.filter.window.time) > FAR * self.filter.process.max_step:
             message = (
-                "start: its time is taken as %g, and the first measurement is at %g. Set time= of the start"
+                "start: no time is stated; %g is assumed, but the first measurement is at %g. Set time= to "
+                "the time of the start"
             )
             log.warning(message, self.filter.window.time, time)
         self.undated = False

@@ -72,7 +72,7 @@ def belief_of(
         times, states = found.since
         covariance = carry(states, torch.cat((times, found.times)), covariance)
         span = f"{float(found.times - times):g} {space.units.time}"
-        log.info("start: its covariance is propagated by the model from a state %s earlier", span)
+        log.info("start: the covariance is propagated by the model from a state %s earlier", span)
     try:
         return initial_belief(found.states, covariance)
     except ValueError as error:

@@ -94,7 +94,8 @@ class StreamControls(NamedTuple):
             received = f"{known} of {self.size}" if known else "none"
             message = (
                 f"controls: expected values at the start, time {since:g}; received {received} before a "
-                f"reading at time {time:g}. Begin with one of time {since:g} that has them, or set controls="
+                f"reading at time {time:g}. Begin with a reading at time {since:g} that has them, or set "
+                "controls="
             )
             raise UserError(message)
         return self._held(held, since)

@@ -103,6 +103,6 @@ class StreamTally:
         order = ", and sort the rows by time" if refused["late"] else ""
         message = (
             f"measurements: expected a filter that follows them; received {received} of {usable:,} lines. "
-            f"Check units, order of columns and rows, stations and start{order}"
+            f"Check the units, the order of columns and rows, the stations and the start{order}"
         )
         raise TrainingError(message)

@@ -101,7 +101,7 @@ def trainings(tasks: dict[str, FieldTask], asked: BenchmarkRequest) -> Iterator[
 def run(plan: list[DrawnTraining], asked: BenchmarkRequest) -> list[DrawnTraining]:
     """Run the unfinished training runs, each in a separate process; return the failed runs."""
     done = sum(map(finished, plan))
-    log.info("benchmark: %d training runs in %s, %d finished", len(plan), asked.output, done)
+    log.info("benchmark: %d training runs in %s, %d of them finished", len(plan), asked.output, done)
 
     def words(training: DrawnTraining) -> list[str]:
         own = [training.task, f"models=[{training.model}]", f"only={training.draw + 1}"]

@@ -75,7 +75,9 @@ def calibrate(arguments: list[str]) -> None:
         here = [f"only={draw.number}", f"spread={asked.spread}", f"output='{asked.output}'"]
         return ["ahnn.calibrate", *overrides, *here]
 
-    log.info("calibrate: %d draws in %s, %d finished", len(plan), asked.output, sum(map(finished, plan)))
+    log.info(
+        "calibrate: %d draws in %s, %d of them finished", len(plan), asked.output, sum(map(finished, plan))
+    )
     with ended(lambda: "repeat the command to resume"):
         failed = run_missing(plan, words, asked.jobs)
     if scores := [score(draw) for draw in plan if finished(draw)]:

@@ -87,8 +87,8 @@ def points_of(cfg: DictConfig, members: Sequence[Prepared]) -> MemberPoints:
     best, node = cfg.callbacks.get("best"), cfg.callbacks.get("rollout")
     if best is None or node is None:
         message = (
-            "callbacks: expected best and rollout with members, which select the weights of each; "
-            f"received callbacks.{'best' if best is None else 'rollout'}=null"
+            "callbacks: expected best and rollout, which select the weights of each member; received "
+            f"callbacks.{'best' if best is None else 'rollout'}=null"
         )
         raise UserError(message)
     made = factory("callbacks.rollout", Part(node, ValidationRollout))

@@ -84,8 +84,8 @@ def build_recorded(options: dict[str, Any], source: Recordings | Observed) -> Re
     drawn = [f"data.{name}={value}" for name, value in options.items() if value not in (None, SENSOR[name])]
     if drawn or not (measured is None or isinstance(measured, str)):
         message = (
-            "data: expected measured=state or position with recorded measurements, to which nothing is "
-            f"added; received {', '.join(drawn) or 'data.measured=' + str(measured)}"
+            "data: expected only measured=state or position, since nothing is added to recorded "
+            f"measurements; received {', '.join(drawn) or 'data.measured=' + str(measured)}"
         )
         raise UserError(message)
     if isinstance(source, Observed):
@@ -114,7 +114,10 @@ def build_sighted(options: dict[str, Any], source: Observed) -> Recorded:
     """
     seen = source.sensors()
     if options["measured"] is not None:
-        message = f"data.measured: expected null, since stations measured; received {options['measured']}"
+        message = (
+            "data.measured: expected null, since the measurements come from stations; received "
+            f"{options['measured']}"
+        )
         raise UserError(message)
     biased = seen.bias_sd if any(seen.bias_sd) else None
     options |= {"measured": seen, "noise": options["noise"] or seen.deviations}

@@ -81,7 +81,10 @@ def plan(arguments: list[str], usage: str) -> Plan:
         jobs = compose_sweep(overrides)
     steps = sorted({steps_of(cfg) for cfg in jobs})
     if len(steps) > 1:
-        message = f"data.windows_per_epoch: expected equal steps for all models; received {steps}. Lower it"
+        message = (
+            f"data.windows_per_epoch: expected equal numbers of steps for all models; received {steps}. "
+            "Lower it"
+        )
         raise UserError(message)
     return Plan(folder, overrides, {f"{cfg.label}_{cfg.seed}": cfg for cfg in jobs}, steps[0])
 

@@ -115,7 +115,9 @@ def require_seeds(values: dict[str, Any]) -> None:
     """Raise UserError for an ensemble whose last seed is out of range."""
     most = 2**32 - (values.get("members") or 1)
     if values["seed"] > most:
-        message = f"seed: expected at most {most}, for a seed of each member; received {values['seed']}"
+        message = (
+            f"seed: expected at most {most}, since each member has its own seed; received {values['seed']}"
+        )
         raise UserError(message)
 
 

@@ -258,8 +258,9 @@ def carrier(run: Run) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
     def carry(states: Tensor, times: Tensor, covariances: Tensor) -> Tensor:
         if names := control_names(run):
             message = (
-                "start: expected the covariance of its last state, since the controls before it are "
-                f"unknown, {', '.join(names)}; received the covariance of an earlier state. Add start_sd="
+                "start: expected the covariance of its last state, since the controls before it "
+                f"({', '.join(names)}) are unknown; received the covariance of an earlier state. Add "
+                "start_sd="
             )
             raise UserError(message)
         predicted = run.predict(states, times, start_covariance=covariances).covariances

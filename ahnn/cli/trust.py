@@ -51,8 +51,8 @@ def require_trusted(path: Path, content: dict[str, Any], nodes: tuple[str, ...])
                 suspicious.append(f"{name}: {value}")
     if suspicious:
         message = (
-            f"{path}: expected classes of ahnn or of installed packages registered with it; received "
-            f"also {'; '.join(suspicious)}. If you trust its author, add --trust"
+            f"{path}: expected only classes of ahnn or of installed packages registered with it; received "
+            f"{'; '.join(suspicious)}. If you trust the author of this file, add --trust"
         )
         raise UserError(message)
 

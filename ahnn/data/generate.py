@@ -87,8 +87,8 @@ def require_finite(system: System, states: Tensor, ends: Tensor, before: int) ->
     b, k = (int(n) for n in wrong.nonzero()[0])
     lost = f"{int(wrong.any(-1).sum())} of {len(states)} trajectories"
     message = (
-        f"system {system.name}: expected finite states; {lost} diverge, number {before + b} after {k} steps "
-        f"of dt={system.dt}: received {states[b, k].tolist()}. "
-        "Shorten system.dt or narrow the ranges of the initial states"
+        f"system {system.name}: expected finite states; {lost} diverge, trajectory {before + b} after {k} "
+        f"steps of dt={system.dt}: received {states[b, k].tolist()}. Shorten system.dt or narrow the ranges "
+        "of the initial states"
     )
     raise UserError(message)

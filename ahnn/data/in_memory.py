@@ -29,7 +29,7 @@ def check_space(space: Space) -> None:
     check_values("space.units", Units, space.units._asdict())
     for text in (space.name, *space.components, *space.controls, *space.units):
         if not text.strip() or not text.isprintable() or "$" in text:
-            message = f"space: expected names and units that can be printed, without $; received {text!r}"
+            message = f"space: expected printable names and units without $; received {text!r}"
             raise UserError(message)
     masses = space.inertia if isinstance(space.inertia, tuple) else (space.inertia,)
     if not all(fits(mass, Positive) for mass in masses) or len(masses) not in (1, space.dof):

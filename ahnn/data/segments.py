@@ -39,8 +39,8 @@ class Segments:
         if not bool(good.any()):
             message = (
                 f"data: expected trajectories with at least {DEGREE + 1} of {FIRST} consecutive "
-                f"measurements, which determine an initial state; received none among {rows} of {samples} "
-                "times. Measure more often"
+                f"measurements, which determine an initial state; received {rows} trajectories of {samples} "
+                "times, none of which has them. Measure more often"
             )
             raise UserError(message)
         last = (times.isfinite() * torch.arange(samples)).amax(1, keepdim=True)

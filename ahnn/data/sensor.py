@@ -103,8 +103,8 @@ class Sensor:
         self.unknown = UnknownNoise(sizes, correlation is not None, prior, tails is not None)
         if tails is not None and correlation is not None:
             message = (
-                "data.tails: expected data.correlation=null with it; received data.correlation=estimate. "
-                "Leave one of them out"
+                "data.tails: expected data.correlation=null; received data.correlation=estimate. Leave one "
+                "of them out"
             )
             raise UserError(message)
         self.freedom = freedom

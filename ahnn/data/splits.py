@@ -70,8 +70,8 @@ class SplitData:
         if known["recipe"] != recipe:
             if "files" in recipe and recipe["files"] == known["recipe"].get("files"):
                 message = (
-                    f"system: expected the training's files with its settings, {known['recipe']}; received "
-                    f"{recipe}, whose test trajectories may be part of the training"
+                    f"system: expected the files of the training and their settings, {known['recipe']}; "
+                    f"received {recipe}, whose test trajectories may be part of the training"
                 )
                 raise UserError(message)
             return self._others("files" in recipe and "files" in known["recipe"], seen)

@@ -59,7 +59,9 @@ def covariances_of(
         return None
     found = [latest(one, moment, frame, path, earlier) for one, moment in zip(segments, moments, strict=True)]
     if None in found:
-        log.warning("start %s: its covariances belong to other epochs than its states and are not used", path)
+        log.warning(
+            "start %s: the covariances are not used, since they belong to other epochs than the states", path
+        )
         return None
     matrices, at = zip(*(one for one in found if one is not None), strict=True)
     return KnownCovariance(torch.from_numpy(np.stack(matrices)), list(at))

@@ -74,6 +74,6 @@ def deviations_of(path: Path, kind: Kind, times: Tensor, *, weighed: bool) -> Te
     pairs = zip(tracks, times.tolist(), strict=True)
     chosen = np.stack([track.values[np.abs(track.times - moment).argmin()] for track, moment in pairs])
     if not np.isfinite(chosen).all() or not (chosen > 0.0).all():
-        log.warning("start %s: its standard deviations are not used, as not all of them are > 0", path)
+        log.warning("start %s: the standard deviations are not used, since not all of them are > 0", path)
         return None
     return torch.from_numpy(chosen)

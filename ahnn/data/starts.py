@@ -142,7 +142,9 @@ def of_plain(path: Path, space: Space) -> Starts:
     unknown = {str(key) for key in content} - KEYS if isinstance(content, dict) else {"no keys"}
     if unknown or "mean" not in content or {"sd", "covariance"} <= content.keys():
         received = ", ".join(sorted(unknown)) or ("both" if "mean" in content else "no mean")
-        message = f"start: expected mean, sd or covariance, frame and epoch in {path}; received {received}"
+        message = (
+            f"start: expected mean, either sd or covariance, frame and epoch in {path}; received {received}"
+        )
         raise UserError(message)
     found = of_numbers(content["mean"], space)
     reference = Reference.of(str(content.get("frame", "")))
@@ -160,7 +162,9 @@ def of_plain(path: Path, space: Space) -> Starts:
     try:
         matrix = None if covariance is None else as_float64(covariance, "covariance").reshape(1, size, size)
     except (ValueError, RuntimeError) as error:
-        message = f"start {path}: expected covariance of {size} x {size} numbers; received a different shape"
+        message = (
+            f"start {path}: expected a covariance of {size} x {size} numbers; received a different shape"
+        )
         raise UserError(message) from error
     return found._replace(reference=reference, covariances=matrix)
 
@@ -193,7 +197,7 @@ def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: 
         files, reference = read(frame), reference._replace(frame=frame)
     elif reference.frame and not ours.frame:
         log.warning(
-            "start %s: in %s; the model states no frame; its frame is assumed equal",
+            "start %s: the frame is %s; the model states no frame and is assumed to use the same one",
             path,
             reference.frame,
         )
@@ -243,10 +247,10 @@ def columns_of(files: Files, space: Space, path: Path) -> tuple[list[int], Tenso
     found, names, n = files.space, space.components[: space.dof], space.dof
     theirs = found.components[: found.dof]
     if sorted(theirs) != sorted(names) or files.positions_only:
-        only, remedy = "", "Name the columns in a sidecar, docs/data.md"
+        only, remedy = "", "Name the columns in a sidecar (docs/data.md)"
         if files.positions_only:
-            only, remedy = " only", "The output of ahnn.assimilate for these positions can be used as "
-            "a start"
+            only = " only"
+            remedy = "The output of ahnn.assimilate for these positions can be used as a start"
         message = (
             f"start {path}: expected positions {', '.join(names)} and their velocities or momenta; received "
             f"{', '.join(theirs)}{only}. {remedy}"
@@ -262,7 +266,7 @@ def factor(theirs: str, ours: str, path: Path) -> float:
     try:
         return 1.0 if theirs == "1" else units.factor(theirs, ours)
     except ValueError as error:
-        message = f"start {path}: expected numbers in {ours}, or a compatible unit; received {theirs}"
+        message = f"start {path}: expected values in {ours} or a compatible unit; received {theirs}"
         raise UserError(message) from error
 
 

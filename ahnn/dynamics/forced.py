@@ -115,9 +115,8 @@ class Forced(nn.Module):
         if z.shape[-1] != 2 * (self.dof + self.clock):
             needed = "time and controls" if self.clock > 1 else "time"
             message = (
-                f"dynamics: expected {needed} in addition to the states, since forces depend on it; "
-                "received none. "
-                "`run.rollout` takes start_time and controls"
+                f"dynamics: expected {needed} in addition to the states, since forces depend on it; received "
+                "none. Pass start_time and controls to `run.rollout`"
             )
             raise UserError(message)
         return forced(self.hamiltonian, self.parts, z, self.clock)

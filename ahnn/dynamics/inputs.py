@@ -252,8 +252,8 @@ def position_inputs(name: InputName, dof: int, scaling: Kind, angular: list[bool
     if name == "angles":
         if not angular or len(angular) != dof or not any(angular):
             message = (
-                f"inputs angles: expected coordinates that are angles, in rad; received {angular}. Angles "
-                "are the positions in rad and the positions in `Space.angles`"
+                f"inputs angles: expected coordinates that are angles, in rad; received {angular}. All "
+                "coordinates are angles if their unit is rad, otherwise only those in `Space.angles`"
             )
             raise UserError(message)
         return Angles(angular, scaling)

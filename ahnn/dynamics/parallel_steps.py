@@ -47,8 +47,7 @@ def can_run(starts: Sequence[Tensor], layers: Sequence[Layers], schemes: Sequenc
 
 
 class _Steps(Function):
-    """Steps of E fields in one call; the tensor arguments are the initial states and layer weights of each
-    field."""
+    """Steps of E fields in one call; the tensors are the initial states and layer weights of each field."""
 
     @staticmethod
     def forward(ctx: Any, schemes: Sequence[Scheme], *given: Tensor) -> Tensor:

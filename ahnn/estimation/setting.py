@@ -61,7 +61,9 @@ def make_setting(
 
 def _cadence(cadence: int, steps: int) -> tuple[int, ...]:
     if cadence > steps:
-        message = f"cadence: expected at most {steps}, the steps of a trajectory; received {cadence}"
+        message = (
+            f"cadence: expected at most {steps}, the number of steps of a trajectory; received {cadence}"
+        )
         raise UserError(message)
     return tuple(range(cadence, steps + 1, cadence))
 
@@ -116,7 +118,7 @@ def require_measurement(measurement: Any) -> None:
     missing = [name for name in ("names", "units", "__call__") if not hasattr(measurement, name)]
     if missing:
         message = (
-            "measurement: expected a measurement model with names, units, __call__; "
+            "measurement: expected a measurement model with names, units and __call__; "
             f"{type(measurement).__name__} has no {', '.join(missing)}"
         )
         raise UserError(message)

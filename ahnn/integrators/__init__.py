@@ -54,7 +54,7 @@ def make_integrator(name: str, **options: Any) -> Integrator:
     if not options:
         return INTEGRATORS[name]
     if name != "gl4":
-        message = f"integrator {name}: unknown option {sorted(options)[0]!r}; it takes none. gl4 has options"
+        message = f"integrator {name}: unknown option {sorted(options)[0]!r}; only gl4 has options"
         raise UserError(message)
     check_arguments(f"integrator {name}", GaussLegendre4, options, ("name", "order"))
     return GaussLegendre4(**options)

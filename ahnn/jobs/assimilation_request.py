@@ -115,7 +115,7 @@ def require_together(options: AssimilationRequest) -> None:
     if options.objects is None:
         for key in ("states", "shard", "workers"):
             if (value := getattr(options, key)) is not None:
-                message = f"{key}: expected {key}={value} with objects=COLUMN; received no objects"
+                message = f"{key}: expected objects=COLUMN with {key}={value}; received no objects"
                 raise UserError(message)
         return
     one = {key: getattr(options, key) for key in ("figures", "oem", "object", "controls", "lag")}

@@ -41,7 +41,7 @@ def conclude_on_measurements(prepared: Prepared) -> float:
     journal = ClosingJournal(best.parent / "closing", checksum(read_weights(best).state, ""))
     steps = prepared.model.curriculum.closing
     after = f" after at most {steps} closing steps" if steps else ""
-    log.info("closing stage on all measurements: prior and covariance of the weights%s", after)
+    log.info("closing stage on all measurements: computes the prior and covariance of the weights%s", after)
     with stage("closing stage"), journal.active():
         _conclude(prepared, best, steps)
     journal.remove()

@@ -28,8 +28,8 @@ def check_together(prepared: Prepared) -> None:
     require_learnable(model, data)
     if data.sensor is not None and data.sensor.unknown.correlation and prepared.robust != "none":
         message = (
-            "data.correlation: expected loss.robust=none with it; received "
-            f"loss.robust={prepared.robust}. Leave one of them out"
+            f"data.correlation: expected loss.robust=none; received loss.robust={prepared.robust}. Leave one "
+            "of them out"
         )
         raise UserError(message)
     if data.source.space.controls and model.dynamics.clock < 2:

@@ -50,8 +50,8 @@ def moments_of(given: Controls, begin: Starts, times: Tensor, run: Run) -> Momen
     every, since = torch.arange(len(times)), begin.times[:1]
     if run.dynamics.clock and bool((begin.times != since).any()):
         message = (
-            "start: expected states of one time, since forces depend on it; received times "
-            f"{begin.times.tolist()}. Predict them one by one"
+            "start: expected states at one common time, since forces depend on time; received times "
+            f"{begin.times.tolist()}. Predict from one state at a time"
         )
         raise UserError(message)
     times = times + since if run.dynamics.clock else times
@@ -87,7 +87,7 @@ def known_controls(given: Controls, since: float, run: Run) -> ControlTable | No
     held = given if isinstance(given, list) else [] if given is None else [given]
     if len(held) != len(names):
         message = (
-            f"controls: expected a FILE with time and {', '.join(names)}, or numbers that are held; received "
+            f"controls: expected a FILE with time and {', '.join(names)}, or constant numbers; received "
             f"{given}"
         )
         raise UserError(message)
@@ -103,4 +103,4 @@ def warn_of_the_end(given: Controls, table: ControlTable, time: float, near: flo
     """Warn that the last controls of a file were held beyond its end."""
     if isinstance(given, str) and table.times[-1] < time - near:
         told = given, float(table.times[-1]), time
-        log.warning("controls: the last of %s, at %g, are held to the end, at %g", *told)
+        log.warning("controls: the last values of %s, at %g, are held until the end, at %g", *told)

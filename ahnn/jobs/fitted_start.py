@@ -98,14 +98,14 @@ def fitted_start(
         TrainingError: no state fits.
     """
     if run.dynamics.clock:
-        message = "start: expected numbers or a file, as forces depend on time or controls; received fit"
+        message = "start: expected numbers or a file, since forces depend on time or controls; received fit"
         raise UserError(message)
     lines = first_readings(sensors, file, clock, wanted)
     segment, bias_sd = segment_of([reading for _, reading in lines], sensors, run)
     size = len(run.space.components)
     if int(segment.measured) < size or segment.times.shape[1] < 2:
-        message = f"start: expected {size} numbers or more, at two times or more; received {len(lines)} "
-        raise UserError(message + "measurements. Fit more, fitted=N, or give start=")
+        message = f"start: expected {size} values or more, at two times or more; received {len(lines)} "
+        raise UserError(message + "measurements. Fit more with fitted=N, or give start=")
     best = best_fit(run, segment)
     outliers, last = int(segment.measured - best.segment.measured), best.path.states[:, -1]
     chi_square = float(best.path.sums) / max(int(best.segment.measured) - size, 1)
@@ -113,7 +113,7 @@ def fitted_start(
     if not (chi_square <= LOST and outliers <= MOST * int(segment.measured)):
         message = (
             f"start: expected a state that fits the first {len(lines)} measurements; received none: {told}. "
-            "Fit fewer, fitted=N, or give start="
+            "Fit fewer with fitted=N, or give start="
         )
         raise TrainingError(message)
     covariance = max(1.0, chi_square) * covariance_of(run, best, bias_sd)

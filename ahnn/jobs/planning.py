@@ -146,7 +146,7 @@ def line(text: str, value: str) -> str:
 def stations_of(file: str, begin: Starts, run: Run) -> list[PlannedSensor]:
     """Return the stations of a file, on an Earth that turns from the epoch of time zero."""
     if begin.reference.epoch is None:
-        log.warning("epoch: not given; the Greenwich meridian is assumed on the x axis at time zero")
+        log.warning("epoch: not given; the Greenwich meridian is assumed to lie on the x axis at time zero")
     made, angle = [], earth_axes(begin.reference)
     for name, entry in read_stations(file).items():
         model = BiasedStation(entry, angle, run.space.mass)

@@ -77,7 +77,9 @@ class NoiseEstimate:
         """
         size = len(instrument.deviations)
         if any(values and len(values) != size for values in asdict(self).values()):
-            message = f"noise: expected estimates of {size} numbers with the weights; received {self}"
+            message = (
+                f"noise: expected estimates for {size} measured components with the weights; received {self}"
+            )
             raise UserError(message)
         deviations, fractions, memories, bias = (
             torch.tensor(part, dtype=torch.float64)

@@ -81,8 +81,9 @@ class EnsembleModel(LightningModule):
         kind = type(solo["optimizer"] if isinstance(solo, dict) else solo)
         if kind.__name__ not in INDEPENDENT or not kind.__module__.startswith("torch.optim"):
             message = (
-                "members: expected an optimizer that treats each weight alone, such as adamw, or "
-                f"levenberg_marquardt; received {kind.__name__}. Use seeds= to train one after the other"
+                "members: expected an optimizer that treats each weight separately, such as adamw, or "
+                f"levenberg_marquardt; received {kind.__name__}. Use seeds= to train the members one after "
+                "another"
             )
             raise UserError(message)
         return first.optimisation.optimizer(chain(*(model.dynamics.parameters() for model in self.models)))

@@ -162,7 +162,7 @@ class AbstractModel(LightningModule, ABC):
                 warnings.simplefilter("ignore")  # warning that the optimiser took no step before
                 configured["lr_scheduler"]["scheduler"].step()
         except (ArithmeticError, TypeError, ValueError) as error:
-            message = f"scheduler: it cannot take a step with these settings: {error}"
+            message = f"scheduler: expected settings that allow a step; received: {error}"
             raise UserError(message) from error
 
     def _check_stages(self, trainer: Trainer) -> None:

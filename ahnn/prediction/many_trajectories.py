@@ -42,12 +42,12 @@ def finite_prediction(prediction: Prediction, starts: Starts, unit: str) -> tupl
         first = min(lost, key=lambda k: int(wrong[k].nonzero()[0]))
         message = (
             f"prediction: expected finite states; received NaN or infinity {after[first]} after start "
-            f"{first + 1}. Nothing was written: shorten duration, or check start and model"
+            f"{first + 1}. Nothing was written: shorten duration, or check the start and the model"
         )
         raise TrainingError(message)
     for k in lost[:NAMED]:
         log.warning(
-            "%s: its prediction is NaN or infinite from %s after its start on; left out",
+            "%s: the prediction is NaN or infinite from %s after the start and is left out",
             starts.names[k],
             after[k],
         )

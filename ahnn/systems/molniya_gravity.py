@@ -53,8 +53,8 @@ class MolniyaGravity(SatelliteSystem):
         super().__post_init__()
         if self.order > 0 and self.rotation == 0:
             message = (
-                "rotation: expected the rotation rate of the planet for harmonics to order "
-                f"{self.order}, 7.292115e-5 rad/s for the Earth; received 0.0. Only order 0 needs none"
+                f"rotation: expected the rotation rate of the planet for harmonics to order {self.order}, "
+                "7.292115e-5 rad/s for the Earth; received 0.0. Only order 0 needs no rotation rate"
             )
             raise UserError(message)
 

@@ -58,7 +58,10 @@ class SatelliteSystem(System):
         super().__post_init__()
         radius = self.planet.radius
         if self.altitude[0] <= -radius:
-            message = f"altitude: expected orbits above the centre, -{radius} km; received {self.altitude}"
+            message = (
+                f"altitude: expected orbits above the centre of the body, at -{radius} km; received "
+                f"{self.altitude}"
+            )
             raise UserError(message)
 
     @property

@@ -35,7 +35,9 @@ def earth_axes(reference: Reference) -> float | list[list[float]]:
     if (frame := known(reference.frame)) in ("", "ITRF"):
         if reference.frame != "CIRS":
             received = reference.frame or "none"
-            message = "stations: expected frame=EME2000, GCRF, TEME or CIRS; received %s, taken as CIRS"
+            message = (
+                "stations: expected frame=EME2000, GCRF, TEME or CIRS; received %s, which is treated as CIRS"
+            )
             log.warning(message, received)
         return reference.earth_angle()
     erfa = library("erfa", "pyerfa", "orbit", "the Earth's rotation")

@@ -49,7 +49,8 @@ class EarthRotation:
             asked, known = (self.day(first), self.day(last)), (rows.mjd[0], rows.mjd[-1])
             message = (
                 f"orientation: expected four days that enclose MJD {asked[0]:.1f} to {asked[1]:.1f}; "
-                f"received {len(rows.mjd)} from {known[0]:.0f} to {known[1]:.0f}. Give bulletins of that time"
+                f"received {len(rows.mjd)} from {known[0]:.0f} to {known[1]:.0f}. Give bulletins for that "
+                "time"
             )
             raise UserError(message)
 

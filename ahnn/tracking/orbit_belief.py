@@ -64,8 +64,8 @@ def prior_belief(problem: OrbitProblem, covariance: Array) -> OrbitBelief:
     if unknown.any():
         name = unknowns.names[int(np.argmax(unknown))]
         message = (
-            f"start: expected a finite standard deviation of {name}, as no measurements are fitted; received "
-            "infinity. Set orbit.forces.NAME.sd and orbit.biases.KIND, or start=fit"
+            f"start: expected a finite standard deviation of {name}, since no measurements are fitted; "
+            "received infinity. Set orbit.forces.NAME.sd and orbit.biases.KIND, or start=fit"
         )
         raise UserError(message)
     precision = unknowns.precision(problem.smooth)[SIZE:, SIZE:][np.ix_(free[SIZE:], free[SIZE:])]

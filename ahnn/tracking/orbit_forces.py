@@ -61,7 +61,11 @@ def gravity_field(choice: GravityChoice, date: str, *, tides: bool) -> GravityFi
     field = field.cut(degree, min(field.order, degree) if choice.order is None else choice.order)
     change = {"zero_tide": 1.0, "tide_free": 0.0}.get(field.tide, 0.0) - (0.0 if tides else 1.0)
     if field.tide not in ("zero_tide", "tide_free"):
-        log.warning("%s: %s; used as given, with or without tides", field.name, field.tide.replace("_", " "))
+        log.warning(
+            "%s: the tide system is %s; coefficients are used as given, with or without tides",
+            field.name,
+            field.tide.replace("_", " "),
+        )
     if change and degree >= 2 and field.tide in ("zero_tide", "tide_free"):
         cosines = field.cosines.copy()
         cosines[2, 0] += change * PERMANENT_TIDE

@@ -105,7 +105,7 @@ def start_of(given: StartChoice | None, at: float, model: TrackingModel) -> tupl
     data = model.data
     if given is None:
         start, at = initial_orbit(model)
-        log.info("start: an initial orbit of directions, at %s", moment_of(data, at))
+        log.info("start: an initial orbit from directions, at %s", moment_of(data, at))
         return start, at
     turn = rotations(terrestrial(data.epoch, np.array([at]), "UTC"), given.frame, "GCRF")[0]
     return np.concatenate((turn @ np.array(given.position), turn @ np.array(given.velocity))), at

@@ -186,7 +186,7 @@ def setup_of(values: Mapping[str, Any]) -> OrbitSetup:
             message = f"forces.{name}.sd: expected 0 (kept), a standard deviation or .inf; received {one.sd}"
             raise UserError(message)
     if (setup.stations is None) == (setup.sinex is None):
-        message = "stations: expected coordinates of each under `stations`, or files under `sinex`; received "
+        message = "stations: expected coordinates under `stations`, or files under `sinex`; received "
         raise UserError(message + ("neither" if setup.sinex is None else "both"))
     return setup
 

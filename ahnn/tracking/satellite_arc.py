@@ -149,7 +149,7 @@ def satellite_arc(
             max_step=forces.longest,
         )
         if not done.success or not np.isfinite(done.y[:6]).all():
-            message = f"orbit: the integration from {at:.0f} s stops at {done.t[-1]:.0f} s: {done.message}"
+            message = f"orbit: the integration from {at:.0f} s stopped at {done.t[-1]:.0f} s: {done.message}"
             raise TrainingError(message)
         return done.sol
 

@@ -88,7 +88,7 @@ class SatelliteStep(NamedTuple):
         )
         if not done.success:
             message = (
-                f"orbit: the integration from {self.time:.0f} s stops at {done.t[-1]:.0f} s: {done.message}"
+                f"orbit: the integration from {self.time:.0f} s stopped at {done.t[-1]:.0f} s: {done.message}"
             )
             raise TrainingError(message)
         after = before.copy()

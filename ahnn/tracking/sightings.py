@@ -117,7 +117,7 @@ class Sightings:
             if name in data.stations and station.event != data.event:
                 message = (
                     f"stations: {name}.event: expected {data.event}, as {file}; received {station.event}. "
-                    "State it in the file of the stations, or in a sidecar of the measurements"
+                    "State the event in the station file, or in a sidecar of the measurements"
                 )
                 raise UserError(message)
             columns[name] = {k: first + c for c, k in enumerate(station.kept)}
@@ -135,7 +135,7 @@ class Sightings:
         if unused:
             log.warning("%s: not used, since its noise is not given: %s", file, ", ".join(sorted(unused)))
         if np.isfinite(data.deviations).any():
-            log.warning("%s: its standard deviations are ignored; the noise of the stations is used", file)
+            log.warning("%s: the standard deviations are ignored; the noise of the stations is used", file)
         after = (data.epoch - epoch) / SECOND
         return Track(data.object, file, np.arange(1, len(times) + 1), times + after, values)
 

@@ -85,8 +85,8 @@ def filtered_directions(
     sound = states.isfinite().flatten(1).all(1)
     if not bool(sound.any()):
         message = (
-            "process_noise: expected a model whose paths stay finite where it was trained; received one with "
-            f"{len(states)} paths that do not"
+            "process_noise: expected a model whose trajectories from the training states stay finite; "
+            f"received one with {len(states)} paths that do not"
         )
         raise UserError(message)
     states, steps, segment = states[sound], steps.rows(sound), watched.segment.rows(sound)

@@ -141,7 +141,7 @@ def test_a_journal_without_its_state_is_refused_and_a_bad_header_leaves_none(tmp
         session(Journal(Pipe(b"time,x\n"), tmp_path / "lines"), *names).run()
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "lines").write_text("left by a process that is gone")
-    with pytest.raises(UserError, match="expected the state of the journal"):
+    with pytest.raises(UserError, match="expected the state that belongs to the journal"):
         session(Journal(Pipe(b""), tmp_path / "lines"), *names)
 
 

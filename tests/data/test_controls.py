@@ -113,7 +113,7 @@ def test_controls_of_a_space_without_any_are_refused():
     [
         (("u", "u"), "space.controls: expected different names; received 'u' twice"),
         (("q", "u"), "space.controls: expected different names; received 'q' twice"),
-        (("", "u"), "expected names and units that can be printed"),
+        (("", "u"), "expected printable names and units"),
     ],
 )
 def test_names_of_controls_are_their_own(names, said):

@@ -38,7 +38,7 @@ def test_one_state_that_is_not_finite_is_enough(monkeypatch):
     drawn = SPRING.initial_states(4, torch.Generator().manual_seed(0))
     drawn[2, 1] = torch.inf
     monkeypatch.setattr(type(SPRING), "initial_states", lambda *_: drawn)
-    with pytest.raises(UserError, match=r"1 of 4 trajectories diverge, number 2 after 0 steps"):
+    with pytest.raises(UserError, match=r"1 of 4 trajectories diverge, trajectory 2 after 0 steps"):
         generate(dataclasses.replace(SPRING, steps=3), 4, 0)
 
 

@@ -44,6 +44,6 @@ def test_some_alone_are_refused_and_exact_states_have_none(tmp_path, caplog):
     with pytest.raises(UserError, match="expected sd_vq with the other standard deviations; received none"):
         read(tmp_path, "t,q,vq,sd_q", "0,1,2,0.1")
     assert read(tmp_path, "t,q,vq,sd_q,sd_vq", "0,1,2,0,0", "1,1,2,0.1,0.1").covariances is None
-    assert "its standard deviations are not used" in caplog.text
+    assert "the standard deviations are not used" in caplog.text
     given = read(tmp_path, HEAD, *ROWS, sd=[0.5, 0.25])
     assert given.covariances[1].diagonal().sqrt().tolist() == pytest.approx([0.5, 0.25], rel=1e-14)

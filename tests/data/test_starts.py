@@ -54,7 +54,7 @@ def test_velocities_are_no_momenta_of_a_space_that_is_not_mechanical(tmp_path):
         ("t,x,y", "received x, y only. The output of ahnn.assimilate"),
         (
             "t [s],x [rad],y [rad],vx [rad/s],vy [rad/s]",
-            "expected numbers in m, or a compatible unit; rec",
+            "expected values in m or a compatible unit; rec",
         ),
     ],
 )

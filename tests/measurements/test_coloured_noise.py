@@ -93,5 +93,5 @@ def test_only_what_was_unknown_is_taken_from_an_estimate():
     assert rest.colour is not None
     assert rest.bias is not None
     assert rest.bias.tolist() == FOUND.bias
-    with pytest.raises(UserError, match="noise: expected estimates of 1 numbers"):
+    with pytest.raises(UserError, match="noise: expected estimates for 1 measured components"):
         FOUND.applied(instrument._replace(deviations=torch.ones(1)), UnknownNoise(sizes=True))

@@ -71,7 +71,7 @@ def test_a_broken_trajectory_is_reported_and_left_out(tmp_path, monkeypatch, cap
     centre = "1e-300,0,0,0,0,0"
     write([*ORBITS[:2], centre, *ORBITS[3:]], head)
     assert call("ahnn.predict", *FAR, "output=broken.csv") == 0
-    assert "s2: its prediction is NaN or infinite from 60 s after its start on; left out" in caplog.text
+    assert "s2: the prediction is NaN or infinite from 60 s after the start and is left out" in caplog.text
     assert rows_of("s2", "broken.csv") == []
     for name in ("s0", "s1", "s3"):
         assert rows_of(name, "broken.csv") == rows_of(name, "sound.csv") != []

@@ -198,7 +198,7 @@ MISTAKES = {
     "no deviation": ([MOLNIYA, START, "duration=1h", "start_sd=[1,0]"], "start_sd: expected"),
     "columns": ([MOLNIYA, "start=other.csv", "duration=1"], "expected positions x, y, z"),
     "alone": ([MOLNIYA, "start=alone.csv", "duration=1"], "received x, y, z only"),
-    "units": ([MOLNIYA, "start=angle.csv", "duration=1"], "expected numbers in km"),
+    "units": ([MOLNIYA, "start=angle.csv", "duration=1"], "expected values in km"),
 }
 
 

@@ -138,7 +138,7 @@ def test_a_command_predicts_under_the_controls_of_a_file(spring, tmp_path, monke
     pushes = torch.tensor([[1.0], [1.0], [-1.0], [0.5], [0.5]], **DOUBLE)
     told = run.predict([0.1, 0.0], times, controls=pushes).states[0, [0, 1, 3, 4], 0]
     close(torch.tensor([float(cell) for cell in named["q [m]"]], **DOUBLE), told, 1e-12)
-    assert "the last of pushes.csv, at 0.2, are held to the end, at 0.3" in caplog.text
+    assert "the last values of pushes.csv, at 0.2, are held until the end, at 0.3" in caplog.text
     assert call(*words, "start=[0.1,0]", "controls=[1]", "output=held.csv") == 0
 
 
@@ -147,7 +147,7 @@ def test_a_command_predicts_under_the_controls_of_a_file(spring, tmp_path, monke
     [
         (
             ["start=[0.1,0]"],
-            "controls: expected a FILE with time and u, or numbers that are held; received None",
+            "controls: expected a FILE with time and u, or constant numbers; received None",
         ),
         (["start=[0.1,0]", "controls=[1,2]"], "received [1, 2]"),
         (

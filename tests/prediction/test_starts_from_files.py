@@ -114,7 +114,7 @@ def test_a_covariance_of_another_epoch_is_not_that_of_the_start(caplog):
     two = Ephemeris("A", "A", "EARTH", "EME2000", "UTC", NOON, np.array([0.0, 60.0]), np.stack([STATE] * 2))
     write_oem("start.oem", [two._replace(covariances=(Covariance(60.0, P),))])
     assert call("ahnn.predict", MOLNIYA, "start=start.oem", *SHORT, "output=out.csv") == 0
-    assert "its covariances belong to other epochs than its states" in caplog.text
+    assert "the covariances are not used, since they belong to other epochs than the states" in caplog.text
     assert "sd_x [km]" not in first()
 
 

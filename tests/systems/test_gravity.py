@@ -160,7 +160,10 @@ def test_a_symplectic_composition_refuses_what_it_would_integrate_without_the_ro
         ({"order": 2}, "rotation: expected the rotation rate of the planet"),
         ({"tide": "mean_tide"}, "tide: expected zero_tide, as in ggm05c; received mean_tide"),
         ({"gravity": "nowhere.gfc"}, "nowhere.gfc: expected a file"),
-        ({"altitude": (-6400.0, 0.0)}, "altitude: expected orbits above the centre, -6378.1363 km"),
+        (
+            {"altitude": (-6400.0, 0.0)},
+            "expected orbits above the centre of the body, at -6378.1363 km",
+        ),
         ({"rotation": math.nan}, "rotation: expected float"),
     ],
 )

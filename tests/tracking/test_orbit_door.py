@@ -67,7 +67,7 @@ def test_an_orbit_is_found_and_written(folder, tmp_path, capsys):
         (["forces.drag=heavy"], "forces.drag: expected a mapping of keys to values; received 'heavy'"),
         (["stations.south=[1,2]"], "stations.south: expected [latitude, longitude, height], degrees and m"),
         (["stations.west=[1,2,3]"], "stations.west: expected a station of seen.aer"),
-        (["sinex=[a.snx]"], "stations: expected coordinates of each under `stations`, or files"),
+        (["sinex=[a.snx]"], "stations: expected coordinates under `stations`, or files"),
         (["object=other"], "object: expected one of seen.aer"),
         (["measurements=nowhere.aer"], "nowhere.aer"),
         (["held_out=1"], "held_out: expected float from 0 to 0.9; received 1"),

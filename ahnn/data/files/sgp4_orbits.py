@@ -69,7 +69,7 @@ def sgp4_content(
         message = (
             "step, duration: expected the sampling interval and the duration of trajectories, in seconds, "
             f"which SGP4 propagates from the {named} of {file}; received {step} and {duration}. In "
-            "ahnn.train they are system.step and system.duration"
+            "ahnn.train, set system.step and system.duration"
         )
         raise UserError(message)
     model = library("sgp4.api", "sgp4", "orbit", file)

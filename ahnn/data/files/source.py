@@ -71,7 +71,7 @@ class Files(Recordings):
         if first.momenta and mass is None:
             message = (
                 f"system.mass: expected the mass of p = m dq/dt for the momenta {', '.join(first.rates)} of "
-                f"{self.paths[0]}; received null. system.mass=1 takes them per unit mass"
+                f"{self.paths[0]}; received null. Set system.mass=1 for momenta per unit mass"
             )
             raise UserError(message)
         space = space_of(name, first, mass)

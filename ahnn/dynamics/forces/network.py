@@ -47,7 +47,8 @@ class NetworkForce(Force):
         sizes = {"t": 1, "u": controls, "q": dof, "v": dof}
         if not sees or len({*sees}) < len(sees):
             message = (
-                f"network force: expected sees, one or more of q, v, t and u, each once; received {sees}"
+                "network force: expected `sees` with one or more of q, v, t and u, each once; received "
+                f"{sees}"
             )
             raise UserError(message)
         self.sees = [name for name in sizes if name in sees]

@@ -123,8 +123,8 @@ def online_parameters(
     dynamics, known = uncertainty.before or (cast(Dynamics, flow), uncertainty)
     if known.directions is None:
         message = (
-            "process_noise: expected a run that stored its least observable parameters; received one of an "
-            "earlier version, or without measurements. Train again, or use plugins=ukf"
+            "process_noise: expected a run that stored its least observable parameters; received one trained "
+            "by an earlier version, or not on measurements. Train again, or use plugins=ukf"
         )
         raise UserError(message)
     return parameters_as_states(dynamics, Chosen(known.directions, 0.0), growth)
@@ -215,8 +215,8 @@ def require_truth(option: NoiseOption, truth: System | None) -> None:
     if truth is None:
         received = {"ForceOptions": "force_error", "ParameterOptions": "no covariance of the parameters"}
         message = (
-            "process_noise: expected parameter_error, after training on measurements, or standard "
-            "deviations, for data without known true states; received "
+            "process_noise: for data without known true states, expected standard deviations or (after "
+            "training on measurements) parameter_error; received "
             f"{received.get(type(option).__name__, option)}. Use plugins=ukf_parameter_error or "
             "plugins.ukf.process_noise=[POSITION,VELOCITY]"
         )

@@ -110,7 +110,9 @@ class EstimatorEvaluation:
         self.process_noise: NoiseOption = noise_option(process_noise)
         self.novelty = novelty
         if novelty is not None and not isinstance(self.process_noise, ForceOptions | ParameterOptions):
-            message = f"novelty: expected a force_error or parameter_error; received {process_noise}"
+            message = (
+                f"novelty: expected process_noise=force_error or parameter_error; received {process_noise}"
+            )
             raise UserError(message)
         self._setting = partial(
             make_setting,

@@ -154,7 +154,11 @@ def require_body(mu: float, radius: float, head: Mapping[str, CoefficientLine]) 
             f"{radius:g} and {mu:g}, which is {density:.3g} kg/m^3. Write both in metres",
         )
     if radius < SMALL:
-        log.warning("%s: a body of radius %g m; its values are taken in m and s", head[RADIUS].file, radius)
+        log.warning(
+            "%s: the body has a radius of %g m; values are assumed to be in m and s",
+            head[RADIUS].file,
+            radius,
+        )
 
 
 def require_centred(cosines: Coefficients, sines: Coefficients, file: CoefficientLine) -> None:

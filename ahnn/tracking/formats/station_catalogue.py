@@ -94,7 +94,9 @@ class StationCatalogue:
         began = [one for one in self.solutions[code] if one.start is None or one.start <= moment]
         if not began:
             first = epochs.spelled(self.solutions[code][0].start or 0, utc=True)
-            message = f"station {code}: expected a solution of {when}; received solutions starting at {first}"
+            message = (
+                f"station {code}: expected a solution for {when}; received solutions starting at {first}"
+            )
             raise UserError(message)
         marker = began[-1].at(moment)
         if not self.eccentricities:
@@ -105,7 +107,7 @@ class StationCatalogue:
             ):
                 offset = np.array(one.offset)
                 return marker + (offset @ local_axes(marker) if one.local else offset)
-        message = f"station {code}: expected an eccentricity of {when}; received none of that time"
+        message = f"station {code}: expected an eccentricity for {when}; received none for that time"
         raise UserError(message)
 
 

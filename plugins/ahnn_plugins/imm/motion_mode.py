@@ -59,7 +59,7 @@ class MotionMode:
         if self.beside is not None and (own := 2 * self.beside.dof) != size:
             message = (
                 f"{who}.beside: expected a system of {size} components, the number estimated; "
-                f"{self.beside.name} has {own}. It has no force error, parameters or biases"
+                f"{self.beside.name} has {own}, without force error, parameters or biases"
             )
             raise UserError(message)
 

@@ -30,7 +30,9 @@ def extremes(columns: Sequence[Tensor], most: int = MOST) -> Tensor:
         return torch.arange(count)
     stretches = (most - 2) // (3 * len(columns))
     if stretches < 1:
-        message = f"most: expected at least {3 * len(columns) + 2} of {len(columns)} columns; received {most}"
+        message = (
+            f"most: expected at least {3 * len(columns) + 2} for {len(columns)} columns; received {most}"
+        )
         raise ValueError(message)
     length = math.ceil(count / stretches)
     rows = torch.arange(math.ceil(count / length) * length).clamp(max=count - 1).reshape(-1, length)

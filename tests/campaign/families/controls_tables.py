@@ -120,8 +120,8 @@ def held(place: Path, code: int, said: str, expected: object) -> None:
     worst = float((np.abs(seen - truth) / size).max())
     assert worst < 1e-9, f"another motion, by {worst:.1e}: {said[-200:]!r}"
     early = table.times[-1] < 2.0 - 1e-9
-    assert not early or "are held to the end" in said or len(table.times) == 1, (
-        "held to the end without a word"
+    assert not early or "are held until the end" in said or len(table.times) == 1, (
+        "held until the end without a word"
     )
 
 

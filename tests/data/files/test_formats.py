@@ -124,6 +124,7 @@ def test_a_missing_library_is_one_message(tmp_path, monkeypatch):
     path = Path(parquet(tmp_path / "a.parquet", {"t": [0.0], "x": [1.0]}))
     monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
     with pytest.raises(
-        UserError, match=r"expected the package pyarrow; received none. pip install 'ahnn\[parquet\]'"
+        UserError,
+        match=r"expected the package pyarrow; received none. Install it with pip install 'ahnn\[parquet\]'",
     ):
         Files("mine", str(path))

@@ -118,7 +118,7 @@ def test_what_cannot_grow_is_refused():
     options = plain_config(compose_job(["plugins=ukf"], "x").plugins.ukf)
     del options["_target_"]
     options["measurement"] = "position"
-    with pytest.raises(UserError, match=r"novelty: expected a force_error.*received fitted"):
+    with pytest.raises(UserError, match=r"novelty: expected process_noise=force_error.*received fitted"):
         UKFEvaluation(**options | {"novelty": 500.0})
     with pytest.raises(UserError, match=r"novelty: expected float >= 0 or None"):
         UKFEvaluation(**options | {"novelty": "much"})

@@ -208,7 +208,7 @@ def test_the_consistency_is_judged_by_the_band_of_what_is_averaged(spring: Case)
     ("change", "message"),
     [
         ("cadence=0", "cadence: expected int >= 1"),
-        ("cadence=201", "cadence: expected at most 200, the steps of a trajectory; received 201"),
+        ("cadence=201", "cadence: expected at most 200, the number of steps of a trajectory; received 201"),
         ("times=[0.1,0.3,0.2]", "times: expected increasing multiples of dt = 0.01, from 0.01 to 2"),
         ("times=[0.105]", r"times: expected increasing multiples .* received \[0.105\]"),
         ("times=[0.0]", "times: expected increasing multiples"),

@@ -107,10 +107,10 @@ def test_stations_and_times_that_are_not_known_are_refused_by_name(tmp_path):
     found = sinex_stations(SINEX, "a.snx")
     with pytest.raises(UserError, match=r"station 7091: expected .*; received none; did you mean '7090'"):
         found.position("7091", YEAR_2010)
-    with pytest.raises(UserError, match=r"station 7090: expected a solution of 1980-01-01T00:00:00\.000"):
+    with pytest.raises(UserError, match=r"station 7090: expected a solution for 1980-01-01T00:00:00\.000"):
         found.position("7090", moment("1980-01-01"))
     late = sinex_stations(SINEX.replace(" 7090  A    1 L 14:080", " 7090  A    1 L 19:080"), "a.snx")
-    with pytest.raises(UserError, match=r"station 7090: expected an eccentricity of 2016-01-01"):
+    with pytest.raises(UserError, match=r"station 7090: expected an eccentricity for 2016-01-01"):
         late.position("7090", moment("2016-01-01"))
     for name in ("a.snx", "b.snx"):
         (tmp_path / name).write_text(SINEX)
