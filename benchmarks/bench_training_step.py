@@ -5,7 +5,7 @@
 Both train the same model on the same windows with AdamW at batch 256, in CPU time; ratios are medians over
 repeats. The first bare loop has the library's optimiser, the fused AdamW of `conf/optimizer/adamw.yaml`; the
 second has `torch.optim.AdamW` with its defaults, as most people write it. `barebones` is Lightning's own
-trainer of that name, without callbacks, logger and checkpoints: the cost of its loop. The networks are
+trainer of that name, without callbacks, a logger or checkpoints: the cost of its loop. The networks are
 the smallest of the paper's search, three hidden layers of 128.
 """
 

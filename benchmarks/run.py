@@ -58,9 +58,9 @@ applies AdamW to a generic Hamiltonian network of three degrees of freedom with 
 float32, without Lightning. The floor is the time of the network's multiply-adds as matrix
 products in PyTorch.
 
-- **autograd.grad**: plain PyTorch, the field as `autograd.grad` of the energy.
-- **torchdiffeq**: this field through `odeint(method="rk4")`, the 3/8 rule.
-- **JAX**: Equinox and Optax, the full step jitted; compilation time is excluded.
+- **autograd.grad**: plain PyTorch, with the field as `autograd.grad` of the energy.
+- **torchdiffeq**: the same field through `odeint(method="rk4")`, the 3/8 rule.
+- **JAX**: Equinox and Optax, with the full step jitted; compilation time is excluded.
 
 ahnn uses a fused optimiser and steps compiled from C, as in every training run; the other
 PyTorch programs use the default optimiser.""",
@@ -99,8 +99,8 @@ orbits, and its time is scaled up. Position errors are relative to heyoka at tol
     ),
     "second_order": Section(
         "Levenberg-Marquardt",
-        """The table gives times of one step in float64. The floor is its matrix products; optimistix takes
-a jitted step with as many residuals of the same network. Times on two cores are wall clock and
+        """The table gives times of one step in float64. The floor is the time of its matrix products;
+optimistix takes a jitted step with as many residuals of the same network. Times on two cores are wall-clock times and
 need an idle machine.""",
         bench_second_order.steps,
         3,
@@ -109,9 +109,8 @@ need an idle machine.""",
     "lightning": Section(
         "Through Lightning",
         f"""Each fit takes {STEPS} steps with the default callbacks and TensorBoard, three layers of 128
-units and batches of 256. `barebones` is Lightning's trainer without callbacks, logger and
-checkpoints. The bare loop uses the batches and the optimiser of ahnn; plain AdamW uses
-PyTorch defaults.""",
+units and batches of 256. `barebones` is Lightning's trainer without callbacks, a logger or checkpoints. The
+bare loop uses the batches and the optimiser of ahnn; plain AdamW uses PyTorch defaults.""",
         lambda repeats: table([*bench_training_step.measured(STEPS, repeats)], "one step [ms]"),
         3,
         {},
@@ -119,7 +118,7 @@ PyTorch defaults.""",
     "epoch": Section(
         "One epoch end to end",
         f"""An epoch has {WINDOWS:,} windows of the spring in batches of 256, with trajectories in memory.
-ahnn runs a complete fit, including validation on 256 windows, logger and checkpoint. The plain loop
+ahnn runs a complete fit, including validation on 256 windows, a logger and a checkpoint. The plain loop
 uses a per-sample DataLoader, the field as `autograd.grad` of the same network, and AdamW with
 its defaults.""",
         lambda repeats: table([*bench_epoch.measured(WINDOWS, repeats)], "one epoch [s]", 1.0),
