@@ -100,8 +100,8 @@ orbits, and its time is scaled up. Position errors are relative to heyoka at tol
     "second_order": Section(
         "Levenberg-Marquardt",
         """The table gives times of one step in float64. The floor is the time of its matrix products;
-optimistix takes a jitted step with as many residuals of the same network. Times on two cores are wall-clock times and
-need an idle machine.""",
+optimistix takes a jitted step with as many residuals of the same network. Times on two cores are
+wall-clock times and need an idle machine.""",
         bench_second_order.steps,
         3,
         bench_second_order.NEEDS,
