@@ -190,7 +190,7 @@ def type_hints(target: Callable[..., Any], *, limits: bool = True) -> dict[str, 
 
 
 def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested plain values under dotted keys; lists and tuples compare equal."""
+    """Return nested plain values as a flat mapping with dotted keys; lists and tuples compare equal."""
     flat: dict[str, Any] = {}
     for key, value in values.items():
         if isinstance(value, Mapping):

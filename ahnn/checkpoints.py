@@ -62,7 +62,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 
 
 def as_stored(state: dict[str, Tensor], path: Path) -> dict[str, Tensor]:
-    """Return weights as `replace_weights` stores and a run loads them: rounded, in their own dtype."""
+    """Return the weights as stored by `replace_weights` and loaded by a run: rounded, in their own dtype."""
     own = read_checkpoint(path)["state_dict"]
     return {key: value.to(own[f"dynamics.{key}"]).to(value) for key, value in state.items()}
 

@@ -29,9 +29,8 @@ class AssimilationRecord(NamedTuple):
         covariance: (T, D, D) covariances.
         outcome: (T,) outcomes in words.
         nis, dof: (T,) normalised innovation squared and its degrees of freedom.
-        measured: names of the measured numbers.
-        innovation, deviation: (T, M) innovations and their standard deviations, NaN where a number is
-            missing.
+        measured: names of the measured values.
+        innovation, deviation: (T, M) innovations and their standard deviations, NaN where a value is missing.
         sensor: (T,) names of the sensors.
     """
 
@@ -48,7 +47,7 @@ class AssimilationRecord(NamedTuple):
 
 
 def read_record(path: Path, space: Space, most: int = MOST) -> AssimilationRecord:
-    """Return at most so many rows of an output, the last one among them, in constant memory.
+    """Return at most `most` rows of an output, including the last one, in constant memory.
 
     Raises:
         UserError: the output has no rows.
@@ -89,7 +88,7 @@ def _number(cell: Any) -> float:
 
 
 def require_orbit(space: Space, reference: Reference) -> None:
-    """Check that estimates form an orbit with known frame, centre and epoch.
+    """Check that estimates form an orbit with a known frame, centre and epoch.
 
     Raises:
         UserError: they do not; the message names the missing keys.

@@ -1,4 +1,4 @@
-"""Filtering of many objects at once: one filter per object, advanced in common batches."""
+"""Simultaneous filtering of many objects: one filter per object, advanced in common batches."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ class Catalogue:
 
     @property
     def identity(self) -> str:
-        """Hash of all that determines estimates except starts and readings, 32 hexadecimal digits."""
+        """Hash (32 hexadecimal digits) of everything that determines estimates except starts and readings."""
         return self.models.identity((*self.limits, self.process.max_step))
 
     def save(self, path: str | Path, notes: Mapping[str, str] | None = None) -> None:

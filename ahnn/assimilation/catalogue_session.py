@@ -31,7 +31,7 @@ NAMED = 1000
 
 
 class CatalogueSession(StreamSession):
-    """The stream of many objects; arguments as of `StreamSession`, the column of names, and a shard.
+    """Stream of many objects; arguments: those of `StreamSession`, the column of object names, and a shard.
 
     The state is saved after each table, so that a restart forms the same tables and reproduces results
     bitwise.

@@ -17,7 +17,7 @@ from ahnn.estimation.smoother import stepped_back
 
 
 class LaggedEstimate(NamedTuple):
-    """A time, and the belief about the state of that time, of one member."""
+    """A time and the belief about the state at that time, for one member."""
 
     time: float
     belief: Belief
@@ -26,7 +26,8 @@ class LaggedEstimate(NamedTuple):
 def smoothed_at(window: ReadingWindow, time: float) -> LaggedEstimate | None:
     """Return the smoothed belief after the last reading that is not later than a time.
 
-    None if that is earlier than all kept readings, or than a reading that reopened the gate: an enlarged
+    Returns None if the time is earlier than all kept readings, or than a reading that reopened the gate: an
+        enlarged
     covariance cannot be smoothed backwards.
     """
     first = bisect_right(window.entries, time, key=TIME)
@@ -41,7 +42,7 @@ def smoothed_at(window: ReadingWindow, time: float) -> LaggedEstimate | None:
 
 
 def numbers_of(found: LaggedEstimate | None, scales: Tensor) -> list[float]:
-    """Return the time, the first components of the mean over scales, and their deviations; or NaN."""
+    """Return the time, the first components of the mean divided by scales, and their deviations; or NaN."""
     size = len(scales)
     if found is None:
         return [float("nan")] * (1 + 2 * size)

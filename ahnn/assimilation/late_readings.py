@@ -78,7 +78,7 @@ class ReadingWindow(NamedTuple):
 
 
 def alike(one: Reading, other: Reading) -> bool:
-    """Return whether two readings have the same sensor and equal numbers, including NaN positions."""
+    """Return whether two readings have the same sensor and equal values, including NaN positions."""
     if (one.sensor, one.controls) != (other.sensor, other.controls):
         return False
     pairs = zip(one.values, other.values, strict=True)

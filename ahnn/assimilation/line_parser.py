@@ -38,8 +38,8 @@ class Layout:
         objects: name of the column of object names; "" for a single object.
 
     Raises:
-        UserError: a header without time, with a column of no sensor or in an incompatible unit, or with
-            numbers of unknown standard deviation.
+        UserError: a header without time, with a column that no sensor has or in an incompatible unit, or with
+            values of unknown standard deviation.
     """
 
     def __init__(
@@ -163,7 +163,7 @@ class Layout:
         return tuple([None if math.isnan(value) else value for value in given])
 
     def say_unused(self, name: str, row: dict[str, Any]) -> None:
-        """Warn, once per sensor and column, of numbers that the sensor does not use."""
+        """Warn, once per sensor and column, of values that the sensor does not use."""
         for key in self.foreign[name]:
             if key in row and (name, key) not in self.said and not is_missing(row[key]):
                 self.said.add((name, key))

@@ -45,7 +45,7 @@ class Lines:
             yield texts[0]
 
     def arrived(self, most: int) -> list[str]:
-        """Wait for a line; return it and those behind it that have arrived, at most so many; [] at the end.
+        """Wait for a line; return it and later lines that have arrived, at most `most`; [] at the end.
 
         Lines have no terminators.
         """
@@ -61,7 +61,7 @@ class Lines:
         return [_text(line) for line in lines]
 
     def table(self, count: int) -> list[str]:
-        """Return the next lines, fewer than so many only at the end of the stream."""
+        """Return the next `count` lines, or fewer at the end of the stream."""
         texts = list[str]()
         while len(texts) < count and (more := self.arrived(count - len(texts))):
             texts += more
@@ -109,14 +109,14 @@ class Lines:
             self.file.close()
 
     def _read(self) -> bool:
-        """Add the bytes that are there to those ahead, or wait for some; return whether there are any."""
+        """Read the available bytes, or wait for some; return False at the end of the stream."""
         more: bytes = cast(Any, self.file).read1(SIZE)
         self._end = self._end or (CR if CR in more[:-1] and LF not in more else LF if more else b"")
         self._ahead += more
         return bool(more)
 
     def _last(self) -> str:
-        """Pass a line that the stream ends with, or one that is too long, of which the beginning remains."""
+        """Return the last line of the stream, or the beginning of a line that is too long."""
         text = _text(self._ahead)
         while self._end not in self._ahead:
             self._passed(self._ahead, 0)

@@ -40,7 +40,7 @@ class Told(NamedTuple):
     Attributes:
         state: states after the readings; invalid for failed members.
         statuses: (B,) int64, 0 for valid members, `FAULT` for an invalid measurement.
-        reopened: (B,) bool, the belief was widened until the gate took the reading.
+        reopened: (B,) bool, the belief was widened until the gate accepted the reading.
         rejected: (B,) bool, whether the gate rejected the reading.
         residuals: (B, W) measurement minus prediction, NaN where missing.
         deviations: (B, W) standard deviations of the residuals.
@@ -72,7 +72,7 @@ class MemberUpdates:
 
     Args:
         models: process and sensors.
-        columns: names of the W numbers of all sensors.
+        columns: names of the W values of all sensors.
         spreads: (N, d, d) factors of the covariances with which objects began, or (1, d, d) for all.
     """
 

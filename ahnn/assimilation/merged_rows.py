@@ -1,4 +1,4 @@
-"""One output from those of several workers: rows in the order of their lines, as one worker writes them."""
+"""Merging of the outputs of workers: rows in the order of their lines, as one worker would write them."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class MergedRows:
             expected: number of rows.
 
         Raises:
-            UserError: another number of rows, or a foreign file.
+            UserError: a different number of rows, or a foreign file.
         """
         known, count = hashlib.sha256(self.head), 0
         for row in self:

@@ -30,7 +30,7 @@ class ObjectShard(NamedTuple):
 
     @classmethod
     def of(cls, text: str | None) -> ObjectShard:
-        """Return the second of eight from `2/8`, and the only one from None; raises UserError."""
+        """Parse a shard: `2/8` is the second of eight workers, None the only one; raises UserError."""
         if text is None:
             return cls()
         found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)

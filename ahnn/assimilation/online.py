@@ -47,8 +47,8 @@ class Assimilation:
         lag: delay of additional estimates, smoothed with all later readings; None: no smoothing.
 
     Raises:
-        UserError: a value beyond its limits, a start of several members, controls of another model, or a lag
-            of a filter that is not Gaussian.
+        UserError: a value beyond its limits, a start of several members, controls of a different model, or a
+            lag of a filter that is not Gaussian.
     """
 
     @checked
@@ -103,7 +103,7 @@ class Assimilation:
 
     @torch.inference_mode()
     def updates(self, readings: Sequence[Reading]) -> list[Estimate]:
-        """Process the first reading, and those behind it that need no decision, with the bits of `update`.
+        """Process the first reading and later ones that need no decision, bit-identical to `update`.
 
         Returns:
             The estimates after the readings that were processed, at least one.
@@ -116,7 +116,7 @@ class Assimilation:
         return self._of_run(run) if run else [self._of_one(first)]
 
     def _of_run(self, run: FollowedRun) -> list[Estimate]:
-        """Return the estimates after a run, and keep its last readings."""
+        """Return the estimates after a sequence of readings, and keep its last ones."""
         self.window = run.window(self.window, self.span, self.lines)
         parts = run.rows.means[:, : self.size], covariances(run.rows.chols)[:, : self.size, : self.size]
         rows = zip(run.readings, *(part.unbind() for part in parts), run.innovations, strict=True)
@@ -198,7 +198,7 @@ class Assimilation:
 
     @property
     def identity(self) -> str:
-        """What determines the estimates besides start and readings, in 32 hexadecimal digits."""
+        """Hash (32 hexadecimal digits) of everything that determines estimates except start and readings."""
         lag = () if self.lag is None else (self.lag,)
         return self.models.identity((self.span, self.lines, self.gap, self.process.max_step, *lag))
 

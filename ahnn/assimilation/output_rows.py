@@ -41,7 +41,7 @@ class Rows:
     Args:
         components: names of the components of the state.
         sensors: sensors by name.
-        kind: csv or json, or of many objects parquet.
+        kind: csv or json, or, for many objects, parquet.
         said: units and frame, written to a sidecar; None: no sidecar.
         scales: (D,) divisors of the written components; None: no division.
         modes: number of modes of interacting models, whose probabilities are columns.
@@ -135,11 +135,11 @@ class Rows:
         return dict(zip(self.names, [*first, *numbers.T], strict=True))
 
     def _smoothed(self, estimate: Estimate) -> list[float]:
-        """Return the numbers of the columns of a lag."""
+        """Return the values of the columns for smoothed estimates."""
         return numbers_of(estimate.smoothed, self.scales) if self.smooths else []
 
     def wrote(self, text: str, line: int, *, begin: bool) -> bool:
-        """Return whether a text consists of rows of lines after a number, the last possibly truncated.
+        """Return whether a text consists of rows for lines after a given one; the last may be truncated.
 
         Args:
             text: text of an output.

@@ -1,6 +1,6 @@
-"""Runs of readings that need no decision: in order of time, complete, of one sensor, and accepted.
+"""Sequences of readings that need no decision: in order of time, complete, of one sensor, and accepted.
 
-The estimator filters them at once, with the same bits as one by one.
+The estimator filters them in one call; results are bit-identical to filtering one by one.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from ahnn.substeps import substeps
 
 
 class FollowedRun(NamedTuple):
-    """Readings of a run with their results.
+    """Readings of a sequence with their results.
 
     Attributes:
         readings: n readings.
         innovations: n innovations.
-        rows: beliefs after the readings, with further numbers.
-        before: state before the run.
-        steps: n + 1 numbers of steps before and after the readings, of the filter's whole life.
+        rows: beliefs after the readings, with residuals, NIS and log-likelihoods.
+        before: state before the sequence.
+        steps: n + 1 numbers of steps of the filter since its start, before and after the readings.
         log_likelihoods: n + 1 log-likelihoods, likewise.
     """
 
@@ -56,7 +56,7 @@ class FollowedRun(NamedTuple):
         )
 
     def window(self, old: ReadingWindow, span: float, most: int) -> ReadingWindow:
-        """Return a window with these readings behind its own, limited as by `ReadingWindow.kept`."""
+        """Return a window with these readings after its own, limited as by `ReadingWindow.kept`."""
         last, count, controls = self.readings[-1].time, len(self.readings), old.controls
         first = max(0, count - most)
         while first < count and self.readings[first].time < last - span:
@@ -71,7 +71,7 @@ class FollowedRun(NamedTuple):
 
 
 class ReadingRuns:
-    """Filter of runs of readings.
+    """Filter for sequences of readings.
 
     Args:
         models: process and sensors.
@@ -85,7 +85,7 @@ class ReadingRuns:
         self.sensors, self.unfit = dict[str, SensorModel](), set[str]()
 
     def followed(self, window: ReadingWindow, readings: Sequence[Reading]) -> FollowedRun | None:
-        """Filter the first readings behind a window; None where the first needs a single step."""
+        """Filter the first readings after a window; None where the first one needs a step of its own."""
         state, process, name = window.state, self.models.process, readings[0].sensor
         count = self._count(window.time, readings) if self.estimator and name not in self.unfit else 0
         if not count or not isinstance(state, FilterState):
@@ -111,7 +111,7 @@ class ReadingRuns:
         return _run(state, readings[: len(found.nis)], found, measured) if found and len(found.nis) else None
 
     def _count(self, time: float, readings: Sequence[Reading]) -> int:
-        """Return how many readings behind a time can form a run."""
+        """Return how many readings after a time can form a sequence."""
         first = readings[0]
         for k, reading in enumerate(readings):
             alike = reading.sensor == first.sensor and len(reading.values) == len(first.values) > 0
@@ -138,7 +138,7 @@ class ReadingRuns:
 def _run(
     before: FilterState, readings: Sequence[Reading], rows: FollowedRows, measured: list[bool]
 ) -> FollowedRun:
-    """Return the results of readings, of which `measured` tells the steps."""
+    """Return the results of readings; `measured` marks the steps that end at a reading."""
     ends = [k + 1 for k, is_end in enumerate(measured) if is_end][: len(readings)]
     steps = [int(before.steps) + k for k in (0, *ends)]
     logs = [*accumulate(rows.log_likelihoods.tolist(), initial=float(before.log_likelihood))]

@@ -92,7 +92,7 @@ class Session(StreamSession):
         self._end()
 
     def _block(self, texts: list[str], watch: Watcher | None) -> None:
-        """Process lines, and write the rows of those that were, also of the lines before a failure."""
+        """Process lines, and write the rows of all processed lines, also if a later line fails."""
         first = self.lines.number - len(texts) + 1
         there = [(first + k, text) for k, text in enumerate(texts) if text and not text.startswith("#")]
         if self.layout is None and there:
@@ -109,7 +109,7 @@ class Session(StreamSession):
                 self.written = True
 
     def _readings(self, there: list[tuple[int, str]]) -> deque[ParsedLine]:
-        """Return the readings of numbered lines, without headers and what the start was fitted to."""
+        """Return the readings of numbered lines, without headers or lines to which the start was fitted."""
         if self.layout is None:
             return deque()
         if self.layout.names:  # headers are repeated where tables are concatenated
@@ -121,7 +121,7 @@ class Session(StreamSession):
         return deque(ParsedLine(*line, reading) for line, reading in zip(there, found, strict=True))
 
     def _next(self, lines: deque[ParsedLine], made: MadeRows, watch: Watcher | None) -> None:
-        """Take the next lines that are processed at once from those of a block, at least one."""
+        """Take from a block the next lines that are processed together, at least one."""
         number, text, reading = lines[0]
         assert self.layout is not None
         try:

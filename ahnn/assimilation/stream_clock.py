@@ -76,7 +76,7 @@ class StreamClock(NamedTuple):
         return "" if self.zero is None else spelled(self.after(self.zero, time), utc=self.system == "UTC")
 
     def said(self, time: float) -> str:
-        """Return a time for messages, after its epoch if there is one."""
+        """Return a time for messages, preceded by its epoch if there is one."""
         plain = f"time {time:g}"
         return plain if self.zero is None else f"{self.epoch(time)[:19]} ({plain} {self.unit})"
 

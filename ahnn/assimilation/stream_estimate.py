@@ -40,7 +40,7 @@ class Estimate(NamedTuple):
 
 
 def covariances(chol: Tensor) -> Tensor:
-    """Return covariances (..., D, D) of factors; of one factor the same bits as of one of many."""
+    """Return the covariances (..., D, D) of factors; each is bit-identical alone and in a batch."""
     total, *others = [part.unsqueeze(-1) * part.unsqueeze(-2) for part in chol.unbind(-1)]
     for other in others:
         total = total + other

@@ -22,7 +22,7 @@ NAMES = ("innovations", "consistency", "deviations")
 
 
 def figures_of(record: AssimilationRecord, space: Space, units: Mapping[str, str]) -> dict[str, Figure]:
-    """Draw the figures of a record and return them by name; `units` are those of the measured numbers."""
+    """Draw the figures of a record and return them by name; `units` are those of the measured values."""
     drawn = innovations(record, space, units), consistency(record, space), deviations(record, space)
     return dict(zip(NAMES, drawn, strict=True))
 
@@ -64,7 +64,7 @@ def innovations(record: AssimilationRecord, space: Space, units: Mapping[str, st
 
 
 def consistency(record: AssimilationRecord, space: Space) -> Figure:
-    """Plot the moving mean NIS of accepted readings per measured number, with its 95 % band."""
+    """Plot the moving mean NIS of accepted readings per measured value, with its 95 % band."""
     time, unit = _time(record, space)
     figure = style.canvas(8, 4)
     axes = figure.subplots()

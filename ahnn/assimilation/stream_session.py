@@ -142,7 +142,7 @@ class StreamSession(StreamTally):
                 remove_own(sidecar.beside(self.beside))
 
     def _end(self, *, judged: bool = True) -> None:
-        """Save the final state at the end of a stream; raises if no line was accepted and that is judged."""
+        """Save the final state at the end of a stream; with `judged`, raise if no line was accepted."""
         if self.layout is None:
             message = "measurements: expected a header or JSON objects; received no line"
             raise UserError(message)

@@ -79,7 +79,7 @@ class StreamTally:
         """Check that some line was accepted, unless the stream only requests predictions.
 
         Raises:
-            TrainingError: none was; the message states the most frequent outcome and a remedy.
+            TrainingError: no line was accepted; the message states the most frequent outcome and a remedy.
         """
         predicts = self.asks and self.counts["predicted"]
         if self.counts["taken"] or self.counts["reopened"] or predicts:
@@ -93,7 +93,7 @@ class StreamTally:
         """Check that at least half of the usable lines were accepted.
 
         Raises:
-            TrainingError: fewer were; the message names what to check.
+            TrainingError: fewer than half were accepted; the message names what to check.
         """
         refused = {"rejected": self.counts["rejected"], "late": self.disordered}
         usable = self.counts["taken"] + self.counts["reopened"] + sum(refused.values())

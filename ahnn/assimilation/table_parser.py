@@ -1,7 +1,7 @@
 """Parsing of lines or columns of objects to readings, column-wise with a row-wise fallback.
 
-`Layout` defines the meaning of a row. Rows of plain numbers, nearly all, are converted column by column, and
-unusual rows are passed to `Layout`.
+`Layout` defines the meaning of a row. Rows of plain numbers, which nearly all rows are, are converted column
+by column, and unusual rows are passed to `Layout`.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class TableParser:
 
     Args:
         layout: line format of the stream.
-        columns: names of the W numbers of all sensors.
+        columns: names of the W values of all sensors.
     """
 
     def __init__(self, layout: Layout, columns: tuple[str, ...]) -> None:
@@ -63,7 +63,7 @@ class TableParser:
         return self._of_columns(lines, columns, singly)
 
     def readings(self, texts: list[str]) -> list[Reading | None]:
-        """Parse lines of one object; None for few lines and unusual ones, left to `Layout.reading`."""
+        """Parse lines of one object; None for few or unusual lines, which are left to `Layout.reading`."""
         layout, found = self.layout, list[Reading | None]([None] * len(texts))
         steep = any(name.endswith(ELEVATION) for name in self.columns)
         few = len(texts) < FEW

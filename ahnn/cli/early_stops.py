@@ -50,7 +50,7 @@ def _hand_to(handler: Callable[[int, Any], Any]) -> dict[int, Any]:
 
 @contextlib.contextmanager
 def held() -> Iterator[None]:
-    """Defer signals: an exception in the middle of an import leaves libraries that recurse or abort."""
+    """Defer signals: after an exception in the middle of an import, libraries may recurse or abort."""
     waiting: list[int] = []
     before = _hand_to(lambda number, _: waiting.append(number))
     try:

@@ -1,4 +1,4 @@
-"""Trainings of an ensemble at once, from a configuration with `members`."""
+"""Joint training of the members of an ensemble, from a configuration with `members`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def train_members(cfg: DictConfig) -> float:
-    """Train all members at once, evaluate each, and return the mean of the best validation losses."""
+    """Train all members together, evaluate each, and return the mean of the best validation losses."""
     with held():
         prepared = prepare_members(cfg)
     for folder in (prepared.folder, *(member.folder for member in prepared.members)):
@@ -43,7 +43,7 @@ def train_members(cfg: DictConfig) -> float:
 
 
 def prepare_members(cfg: DictConfig) -> PreparedEnsemble:
-    """Build the trainings of all members and the trainer that they share.
+    """Build the training runs of all members and the trainer that they share.
 
     Raises:
         UserError: incompatible parts, or settings that couple the members.

@@ -71,7 +71,7 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
 
 @contextlib.contextmanager
 def folder_of(run: Path | None) -> Iterator[None]:
-    """Convert Hydra's failure to create the run folder to a UserError; errors of the task leave before."""
+    """Convert Hydra's failure to create the run folder to a UserError; other errors are not changed."""
     try:
         yield
     except OSError as error:

@@ -48,7 +48,7 @@ def let_import(targets: Iterable[object]) -> None:
 
 
 def import_torchmetrics() -> None:
-    """Import torchmetrics, needed by Lightning, without scipy.signal, a seventh of a short command.
+    """Import torchmetrics, needed by Lightning, without scipy.signal: a seventh of a short command's time.
 
     torchmetrics imports scipy.signal only to check for a name of older versions.
     """

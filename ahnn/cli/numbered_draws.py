@@ -1,4 +1,4 @@
-"""Draws of a study: a process for each, side by side, and a folder that appears with its score."""
+"""Draws of a study: one process for each, in parallel, and a folder that appears with its score."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ def read_following(arguments: list[str], usage: str) -> Stream:
 
     Raises:
         UserError: no such file, an unknown key, or incompatible options.
-        TrainingError: the start is fitted, and there is no fit.
+        TrainingError: the start is to be fitted, and no state fits.
     """
     given = ["watch=true" if argument == "--watch" else argument for argument in arguments]
     own = composed("assimilate", [])

@@ -111,7 +111,7 @@ def is_finished(folder: Path, cfg: DictConfig) -> bool:
 
 
 def require_same_settings(made: Plan) -> None:
-    """Check that the runs in a folder are of the same command, on any machine.
+    """Check that the runs in a folder come from the same command, on any machine.
 
     Raises:
         UserError: one of them has other settings.

@@ -65,7 +65,7 @@ def assimilate_sharded(stream: Stream, arguments: list[str], usage: str) -> None
 def follow_shard(command: ShardCommand) -> CatalogueOutcome:
     """Follow the objects of one worker, in its process; messages appear on its standard error."""
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
-    log.setLevel(logging.ERROR)  # the parent has said the rest
+    log.setLevel(logging.ERROR)  # the parent reports everything else
     stream = read_stream(command.arguments, command.usage)
     log.setLevel(command.level)
     assert isinstance(stream.filtering, Catalogue)

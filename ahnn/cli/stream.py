@@ -72,7 +72,7 @@ def read_stream(arguments: list[str], usage: str) -> Stream:
 
 
 def require_own_keys(options: AssimilationRequest, nodes: DictConfig) -> None:
-    """Raise UserError for keys without those they belong to, and for sensors defined twice."""
+    """Raise UserError for keys without the keys that they need, and for sensors defined twice."""
     if options.folder is not None:
         message = f"folder: expected orbit=FILE.yaml with folder={options.folder}; received a run"
         raise UserError(message)
@@ -253,7 +253,7 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
 
 
 def carrier(run: Run) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
-    """Return the map of states, times and covariances of the first to the covariance of the last."""
+    """Return a function that propagates the covariance of the first of several states to the last."""
 
     def carry(states: Tensor, times: Tensor, covariances: Tensor) -> Tensor:
         if names := control_names(run):

@@ -174,11 +174,11 @@ class WindowDataModule(LightningDataModule):
         self.stages, self.epochs = stages, epochs
 
     def group(self, seeds: Sequence[int]) -> None:
-        """Provide batches of several trainings at once, one below the other, each in its own order."""
+        """Provide the batches of several training runs, each in its own order, one below the other."""
         self.orders = [*seeds]
 
     def train_dataloader(self) -> EpochLoader:
-        """Return shuffled training batches, or those of several trainings."""
+        """Return shuffled training batches, or those of several training runs."""
         loaders = [self._ordered(seed) for seed in self.orders]
         return loaders[0] if len(loaders) == 1 else GroupedLoader(loaders)
 

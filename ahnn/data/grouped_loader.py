@@ -1,4 +1,4 @@
-"""Batches of several trainings at once, one below the other."""
+"""Joint batches of several training runs, one below the other."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ahnn.data.loader import EpochLoader
 
 
 class GroupedLoader(EpochLoader):
-    """Batches of E B rows: the first B are the batch of the first training, and so on.
+    """Batches of E B rows: the first B are the batch of the first training run, and so on.
 
     Args:
         loaders: loaders of the same data, which differ in their order.

@@ -52,7 +52,7 @@ def check_trajectories(given: Trajectories, space: Space) -> Trajectories:
     """Validate trajectories; return float64 states (B, T, D), or positions (B, T, n), and times (B, T).
 
     Raises:
-        UserError: an invalid space, incompatible shapes, infinite numbers, or times that do not increase.
+        UserError: an invalid space, incompatible shapes, infinite values, or times that do not increase.
     """
     check_space(space)
     if not isinstance(given, Trajectories):

@@ -140,7 +140,7 @@ class Sensor:
         return Observations(values.masked_fill(missing.unsqueeze(-1), torch.nan), times)
 
     def _stretch(self, values: Tensor, part: int) -> Tensor | float:
-        """Return the factors that make Student's noise of normal noise, of the shape of the values."""
+        """Return the factors that turn normal noise into Student's noise, in the shape of the values."""
         if self.freedom is None:
             return 1.0
         draw = np.random.default_rng((self.seed, part))

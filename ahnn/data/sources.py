@@ -33,7 +33,7 @@ class Source(Protocol):
         ...
 
     def recipe(self) -> dict[str, Any]:
-        """Return all that determines the trajectories, as plain values."""
+        """Return everything that determines the trajectories, as plain values."""
         ...
 
     def steps(self) -> int:
@@ -47,7 +47,7 @@ class Source(Protocol):
 
 @runtime_checkable
 class Observed(Source, Protocol):
-    """Source of measurements that are no components of states; `read` returns positions from them."""
+    """Source of measurements that are not state components; `read` returns positions derived from them."""
 
     def sensors(self) -> Any:
         """Return the model of all its sensors side by side, with their noise and biases."""

@@ -62,7 +62,7 @@ class SplitData:
             seen: fingerprints of the training, as returned by `seen`; not recorded by earlier versions.
 
         Raises:
-            UserError: some are identical to training trajectories, or may be.
+            UserError: some test trajectories are, or may be, identical to training trajectories.
         """
         if known is None:
             return "unknown training data"
@@ -121,10 +121,10 @@ class SplitData:
 
     @cached_property
     def level_of_noise(self) -> Tensor:
-        """Standard deviations (M,) of the noise that differences of the training measurements show.
+        """Standard deviations (M,) of the noise, estimated from differences of the training measurements.
 
         Raises:
-            UserError: these disagree.
+            UserError: the differences disagree.
         """
         assert self.sensor is not None
         level = differences_level(*looked_at(*self.measured("train")))

@@ -28,7 +28,7 @@ class Dynamics(nn.Module, ABC):
     Attributes:
         spec: plain values from which `make_dynamics` builds the same module, except for the weights.
         assumes: prior knowledge about the dynamics, stated with every score.
-        clock: k, clock coordinates of the states: 0, 1 for time, 1 + m for time and m controls.
+        clock: number k of clock coordinates of the states: 0, 1 for time, 1 + m for time and m controls.
         begins_known: whether the learned part is zero before training, so that only known physics acts.
         anchored: whether it fixes the origin of the positions, so that a bias of all readings is detectable.
     """

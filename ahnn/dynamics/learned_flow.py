@@ -63,7 +63,7 @@ def library() -> ctypes.CDLL | None:
 
 
 class LearnedFlow:
-    """Flow of learned Hamiltonian dynamics in C, to rounding, for one step length at a time.
+    """Flow of learned Hamiltonian dynamics in C, equal up to rounding, for one step length at a time.
 
     Its parameters are those at the time of its construction. Steps of members and gradients take `flow`.
 
@@ -114,7 +114,7 @@ def _again(flow: HamiltonianDynamics) -> LearnedFlow | HamiltonianDynamics:
 
 @torch.no_grad()
 def learned_flow(flow: Any) -> LearnedFlow | None:
-    """Return the flow of dynamics in C; None for dynamics that the library does not know, or without one."""
+    """Return the flow of dynamics in C; None without the library or for dynamics that it lacks."""
     if type(flow) is not HamiltonianDynamics or flow.clock:
         return None
     if not all(plain(part.data, torch.float64) for part in (*flow.parameters(), *flow.buffers())):

@@ -80,7 +80,7 @@ def covariance_factor(matrix: Covariance, name: str, *, batch: int, size: int, d
     if factored:
         return matrix
     stacked = matrix.reshape(-1, size, size)
-    if torch.equal(stacked, stacked.mT):  # and so without NaN
+    if torch.equal(stacked, stacked.mT):  # and therefore without NaN
         chol, info = torch.linalg.cholesky_ex(stacked)
         if not bool(info.any()) and math.isfinite(float(chol.detach().sum())):
             return chol.reshape(shape)

@@ -91,7 +91,7 @@ def wrapped(difference: Tensor, periods: tuple[float, ...]) -> Tensor:
 def wrap(angle: Tensor, turn: float | Tensor = TURNS["rad"]) -> Tensor:
     """Return the angle in (-turn / 2, turn / 2]; angles already in range are unchanged."""
     turned = angle - turn * torch.round(angle / turn)
-    # Rounding may leave it just outside.
+    # Rounding may leave the value just outside.
     turned = torch.where(turned > 0.5 * turn, turned - turn, turned)
     return torch.where(turned <= -0.5 * turn, turned + turn, turned)
 

@@ -109,7 +109,7 @@ def most_likely(left: Residuals, *, sizes: bool, correlation: bool) -> FoundNois
     def searched(
         begin: list[float], limits: list[tuple[float, float]], coloured: bool
     ) -> tuple[float, Tensor]:
-        from scipy.optimize import minimize  # takes a fifth of a second, only when needed
+        from scipy.optimize import minimize  # the import takes a fifth of a second
 
         def value(found: np.ndarray) -> tuple[float, np.ndarray]:
             at = torch.tensor(found, requires_grad=True)

@@ -105,7 +105,7 @@ def deviations_of(freedom: float, count: float) -> tuple[float, float]:
 
 def _searched(e: Tensor) -> tuple[float, float, float]:
     """Return scale, nu, and twice the gain in log likelihood over normal noise, of residuals (n,)."""
-    from scipy.optimize import minimize  # a fifth of a second, which other trainings do not need
+    from scipy.optimize import minimize  # the import takes a fifth of a second
 
     def value(found: object) -> tuple[float, object]:
         at = torch.tensor(found, dtype=torch.float64, requires_grad=True)

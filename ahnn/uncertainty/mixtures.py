@@ -39,7 +39,7 @@ def mixture_crps(truth: Tensor, means: Tensor, deviations: Tensor | None = None)
     variances = torch.zeros_like(means) if deviations is None else deviations.square()
     near = _absolute(truth - means, variances).mean(0)
     apart = torch.zeros_like(near)
-    for mean, variance in zip(means, variances, strict=True):  # pairs of all members at once fill the memory
+    for mean, variance in zip(means, variances, strict=True):  # all pairs together would fill the memory
         apart = apart + _absolute(means - mean, variances + variance).mean(0)
     return near - apart / (2 * len(means))
 

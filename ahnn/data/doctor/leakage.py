@@ -42,7 +42,7 @@ def finding(one: Track, other: Track, at: int, first: int) -> Finding:
 
 
 def runs(track: Track) -> NDArray[np.uint64]:
-    """Return a key for each run of samples; 0 for constant samples or missing numbers."""
+    """Return a key for each run of samples; 0 for constant samples or missing values."""
     values = np.ascontiguousarray(track.values + 0.0)  # maps -0 to 0
     if len(values) < LEAST:
         return np.zeros(0, dtype=np.uint64)

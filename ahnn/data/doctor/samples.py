@@ -29,7 +29,7 @@ EXAMPLES = 64
 
 
 def sample_findings(content: Content, gap: float) -> Iterator[Finding]:
-    """Yield findings on missing numbers, gaps, constant columns, wide angles, and noise.
+    """Yield findings on missing values, gaps, constant columns, wide angles, and noise.
 
     Args:
         content: content of a file.
@@ -48,7 +48,7 @@ def sample_findings(content: Content, gap: float) -> Iterator[Finding]:
 
 
 def missing(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
-    """Yield a finding for each missing number."""
+    """Yield a finding for each missing value."""
     for k, c in zip(*np.nonzero(np.isnan(track.values)), strict=True):
         remedy = "Nothing to do: the sample counts as missing"
         yield Finding("warning", track.file, int(track.rows[k]), names[c], "a missing number", remedy)
@@ -123,7 +123,7 @@ def outliers(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
 
 
 def runs_of_outliers(content: Content, names: tuple[str, ...]) -> Iterator[Finding]:
-    """Yield several successive values of another scale than the file, entered and left by a jump."""
+    """Yield successive values on a different scale from the rest of the file, entered and left by jumps."""
     values = np.concatenate([track.values for track in content.tracks])
     for c, name in enumerate(names):
         known = values[np.isfinite(values[:, c]), c]

@@ -17,7 +17,7 @@ class Column(NamedTuple):
     Attributes:
         name: name of the column.
         role: time, id, position, velocity, momentum, control or ignored.
-        unit: unit of its numbers, or time scale of its epochs; "" if there is none.
+        unit: unit of its values, or time scale of its epochs; "" if there is none.
     """
 
     name: str
@@ -89,7 +89,7 @@ def joined(parts: list[Content], places: list[Place]) -> Content:
 
 
 def since_first(contents: list[Content]) -> list[Content]:
-    """Return contents whose times count from the first of their epochs, which is added to their frame."""
+    """Return contents with times counted from the first of their epochs, which is added to their frame."""
     known = [content.epoch for content in contents if content.epoch is not None]
     return [counted(content, min(known)) if known else content for content in contents]
 

@@ -76,7 +76,7 @@ def of_track(track: Track, content: Content, given: str, frame: str) -> Track:
 
 
 def terrestrial(epoch: int, times: Array, clock: str) -> Array:
-    """Return Julian dates of terrestrial time, (2, T) summands, of seconds after an epoch."""
+    """Return the Julian dates of terrestrial time, as (2, T) summands, for seconds after an epoch."""
     seconds, fraction = divmod(epoch, epochs.SECOND)
     days, of_day = divmod(seconds, epochs.DAY)
     parts = (of_day + fraction / epochs.SECOND + TO_TT[clock] + times) / epochs.DAY

@@ -45,7 +45,7 @@ class Force(nn.Module, ABC):
         """Set scalings, units and initial values from the training split."""
 
     def silence(self) -> None:
-        """Set a learned force to zero, from which it can grow; by default it stays."""
+        """Set a learned force to zero, from which it can grow; by default it is not changed."""
 
     @abstractmethod
     def forward(self, at: Instant) -> Tensor:
