@@ -42,8 +42,9 @@ def require_same_states(runs: Sequence[Run]) -> None:
 class Ensemble:
     """Trained models of one system as an equally weighted mixture.
 
-    Where all members have a covariance of their parameters, each is a normal distribution about its forecast,
-    and otherwise a point: the covariance is that of the members, plus the mean of their own.
+    If all members have a covariance of their parameters, each is a normal distribution about its forecast,
+    otherwise a point. The covariance of the mixture is that of the forecasts, plus the mean of the members'
+    own.
 
     Attributes:
         runs: the members.
@@ -86,13 +87,13 @@ class Ensemble:
         return torch.stack([run.rollout(start, steps, step) for run in self.runs])
 
     def rollout(self, start: Numbers, steps: int, dt: Numbers | None = None) -> Tensor:
-        """Return the mean of `rollouts`, shape (B, steps + 1, 2n); arguments and errors as there."""
+        """Return the mean of `rollouts`, shape (B, steps + 1, 2n); arguments and errors are the same."""
         return self.rollouts(start, steps, dt).mean(0)
 
     def band(self, start: Numbers, steps: int, dt: Numbers | None = None) -> Tensor:
         """Return the standard deviations of the mixture, shape (B, steps + 1, 2n), for exact starts.
 
-        Arguments and errors as of `rollouts`.
+        Arguments and errors are those of `rollouts`.
         """
         step = self.dt if dt is None else dt
         _, covariance = mixture_moments(self.rollouts(start, steps, step))
@@ -172,7 +173,7 @@ def load_ensemble(run: str | Path | list[str], ckpt: str = "best") -> Ensemble:
         ckpt: `best` or `last`.
 
     Raises:
-        UserError: a folder without members, or members of different states.
+        UserError: a folder without members, or members with different states.
     """
     folders = [Path(one) for one in run] if isinstance(run, list) else member_folders(Path(run))
     if not folders:

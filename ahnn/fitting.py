@@ -24,8 +24,8 @@ def fit(
 ) -> Run:
     """Train on given trajectories, evaluate on the test split, and return the run.
 
-    Runs the code of `python -m ahnn.train system=files` and writes the same table and files. The numbers are
-    exact states, or with `data.noise` measurements, which imply `sensor=recorded` unless a sensor, recipe or
+    Runs the code of `python -m ahnn.train system=files` and writes the same table and files. The values are
+    exact states or, with `data.noise`, measurements, which imply `sensor=recorded` unless a sensor, recipe or
     loss is named. The true equations are unknown, so floors and energy errors are omitted, and plugins that
     need them must be requested by name.
 

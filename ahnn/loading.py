@@ -60,7 +60,7 @@ def load(run: str | Path, ckpt: str = "best") -> Run:
 
 
 def member_folders(folder: Path) -> list[Path]:
-    """Return the run folders of the members of an ensemble, by seed; none for another folder."""
+    """Return the run folders of the members of an ensemble, by seed; none for other folders."""
     numbered = ((MEMBER.fullmatch(path.name), path) for path in folder.glob("seed_*"))
     found = [(int(match[1]), path) for match, path in numbered if match and weights_path(path).exists()]
     return [path for _, path in sorted(found)]

@@ -1,4 +1,4 @@
-"""Discrete-time dynamics: a network from one state to the next."""
+"""Discrete-time dynamics: a network that maps one state to the next."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recorded flows: traced sequences of operations, equal to rounding, without Python overhead.
+"""Recorded flows: traced sequences of operations, equal up to rounding, without Python overhead.
 
 On the 13 sigma points of one state a small network costs more in Python than in arithmetic; the replayed
 sequence takes a quarter of the time. Only flows with data-independent operations are recorded: explicit
@@ -38,7 +38,7 @@ _RECORDING = threading.Lock()
 
 
 def recorded(flow: Flow) -> Flow:
-    """Return an equivalent flow, in C or recorded, to rounding: for one step length and without gradients.
+    """Return a flow in C or a recorded one, equal up to rounding, for one step length, without gradients.
 
     Dynamics with data-dependent operations, and unknown functions, are returned unchanged.
     """
@@ -99,7 +99,7 @@ class Increments:
         self._theta: Tensor | None = None
 
     def _gains(self) -> bool:
-        """Return whether a recording is faster; a step that is one C operation gains nothing."""
+        """Return whether a recording is faster; it is not for a step that is a single C operation."""
         flow = self.dynamics
         return is_fixed(flow) and not (isinstance(flow, HamiltonianDynamics) and flow.in_c())
 

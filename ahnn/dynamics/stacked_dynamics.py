@@ -1,4 +1,4 @@
-"""Members of an ensemble as one map: states grouped by member, propagated at once.
+"""Members of an ensemble as one map: states grouped by member, propagated together.
 
 Each member is a module of its own; they share architecture and scalings. A step of all of them is a single
 operation: in C one member per core, otherwise by `torch.func.vmap` over their stacked parameters, with one
@@ -102,5 +102,5 @@ class _Method(nn.Module):
 
 
 def _grouped(step: TimeStep, count: int) -> TimeStep:
-    """Return steps (E B,) as (E, B); a number stays one."""
+    """Return steps (E B,) as (E, B); a single number is returned unchanged."""
     return step.unflatten(0, (count, -1)) if isinstance(step, Tensor) and step.ndim else step

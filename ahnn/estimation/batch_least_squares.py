@@ -42,7 +42,7 @@ class BatchResult(NamedTuple):
         means: (B, T, D) means along the path; NaN for a diverged member.
         chols: (B, T, D, D) lower factors.
         cost: (B,) squared residuals of measurements and prior, in standard deviations: chi-square with as
-            many degrees of freedom as measured numbers, if the flow is exact.
+            many degrees of freedom as measured values, if the flow is exact.
         measured: (B, T) int64, number of measured components.
         status: (B,) int64, see `Status`.
         settled: (B,) bool, whether the iteration converged.

@@ -44,7 +44,7 @@ def judged_nees(values: Tensor, degrees: int) -> Judged:
 def judged_nis(result: FilterResult) -> Judged:
     """Return the mean NIS over accepted rows of all members and times.
 
-    Innovations are white: the sum is chi-square with as many degrees of freedom as measured numbers.
+    Innovations are white: the sum is chi-square with as many degrees of freedom as measured values.
     """
     values = result.nis.masked_fill(result.rejected, torch.nan)
     there = values.isfinite()
@@ -56,10 +56,10 @@ def judged_nis(result: FilterResult) -> Judged:
 
 
 def nis_at_times(values: Tensor, measured: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the NIS per measured number at each time over all members, and its 95 % band, (T,) each.
+    """Return the NIS per measured value at each time over all members, and its 95 % band, (T,) each.
 
-    The NIS of members add to chi-square with as many degrees of freedom as measured numbers, which differ if
-    a sensor does not measure all members.
+    The sum of the NIS of all members is chi-square distributed, with as many degrees of freedom as measured
+    values. Their number varies with time if a sensor does not measure all members.
 
     Args:
         values: (B, T) NIS, NaN where ignored.

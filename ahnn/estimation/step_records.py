@@ -13,7 +13,7 @@ from ahnn.estimation.state import MemberState
 
 
 class StepRecord(NamedTuple):
-    """Record of n successive steps, of which single ones have a backward law.
+    """Record of n successive steps; it has a backward law only for n = 1.
 
     Attributes:
         predicted: beliefs before the updates, (n, B, ...).

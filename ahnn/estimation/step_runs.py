@@ -30,7 +30,7 @@ class StepRun(NamedTuple):
 
 
 class FollowedRows(NamedTuple):
-    """Results of the first n rows of a run.
+    """Results of the first n rows of a sequence.
 
     Attributes:
         means: (n, D) posterior means.
@@ -51,23 +51,22 @@ class FollowedRows(NamedTuple):
 
 @runtime_checkable
 class RunFilter(Protocol):
-    """Estimator that filters runs of steps at once."""
+    """Estimator that filters sequences of steps in one call."""
 
     def follow(
         self, state: FilterState, flow: Flow, run: StepRun, sensor: SensorModel, most: float
     ) -> FollowedRows | None:
-        """Filter the first rows of a run, with the same bits as `predict` and `update` step by step.
+        """Filter the first rows of a sequence, bit-identical to `predict` and `update` step by step.
 
-        It ends before the first row that single steps would not simply accept.
+        It ends before the first row for which single steps would do more than accept it.
 
         Args:
-            state: state of one member before the run.
+            state: state of one member before the sequence.
             flow: the process model.
             run: steps and rows.
             sensor: measurement model of the rows.
             most: NIS above which a row needs a decision, whatever the gate.
 
-        Returns:
-            None where runs are not supported.
+        Returns: None where sequences are not supported.
         """
         ...

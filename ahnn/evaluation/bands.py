@@ -37,7 +37,7 @@ class Band(NamedTuple):
         expected: expected rms norms of position and velocity errors.
         bound: expected errors from noise only: the Cramer-Rao bound of the regularised parameters.
         efficiency: rms norms of the errors in units of that bound.
-        usual: middle 95 % of these in trainings at the bound.
+        usual: central 95 % range of this efficiency in training runs at the bound.
         single: errors of the first trajectory at a quarter, half and all of its time, in standard deviations.
     """
 

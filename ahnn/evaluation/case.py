@@ -143,7 +143,7 @@ class Row(NamedTuple):
         who: identity of the row.
         scores: errors of the row.
         note: remarks for the interpretation of the row, one finding per line.
-        extra: further numbers for metrics.json.
+        extra: additional numbers for metrics.json.
     """
 
     who: Who

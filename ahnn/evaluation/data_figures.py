@@ -54,8 +54,9 @@ def draw(found: Examined, folder: Path) -> None:
 def picture(content: Content, findings: list[Finding]) -> Figure:
     """Plot positions and stated velocities with the findings on them.
 
-    A finding on a number has a ring around it; others have a line at their time, or are counted in a panel
-    of their own if there are many. Velocities from position differences are drawn beside the stated ones.
+    A finding on a single value is marked by a ring. Other findings are marked by a line at their time, or
+    counted in a separate panel if there are many. Velocities from position differences are drawn beside the
+    stated ones.
     """
     shown = content.tracks[:CURVES]
     names = (*content.positions, *content.rates)
@@ -112,7 +113,7 @@ def curves(panels: Any, content: Content, shown: Sequence[Track]) -> None:
 def rings(
     shown: Sequence[Track], names: tuple[str, ...], findings: list[Finding]
 ) -> dict[Finding, tuple[float, float]]:
-    """Return the time and value of each finding on a number that is there."""
+    """Return the time and value of each finding on a value that is present."""
     found = {}
     for one in findings:
         for part in shown if one.row and one.column in names else ():

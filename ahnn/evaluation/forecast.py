@@ -39,8 +39,9 @@ class Forecast(NamedTuple):
             was tested.
         parameters: mean fraction of the variance of forecast states due to the parameters.
         states: fractions for the components of true states; None if these are unknown.
-        right: range of the coverage of calibrated bands, the middle 95 % of draws.
-        lost: number of trajectories whose first half no start fits; they are excluded from all other values.
+        right: range of the coverage of calibrated bands in the central 95 % of draws.
+        lost: number of trajectories for whose first half no start could be fitted; they are excluded from all
+            other values.
         trajectories: number of trajectories tried.
         outliers: fraction of the measured values that were excluded as outliers.
         single: errors of the last true state of the first trajectory, in standard deviations.
@@ -222,7 +223,7 @@ def right_bands(shares: tuple[float, ...], right: tuple[tuple[float, float], ...
 
 
 def judged(shares: tuple[float, ...], right: tuple[tuple[float, float], ...]) -> str:
-    """Return a verdict on the coverage within 2 sigma; where half the width would do, none follows."""
+    """Return a verdict on the coverage within 2 sigma; none where half the width would also pass."""
     low, high = right[1]
     if low <= NORMAL[0]:
         return TOO_FEW

@@ -91,7 +91,7 @@ def direction_test(parts: Iterable[tuple[Tensor, Tensor]]) -> DirectionTest:
 
 
 def ratio_interval(matrix: Tensor) -> tuple[float, float]:
-    """Return the middle 95 % of rms error over bound in trainings at the bound, from W^T W, shape (R, R)."""
+    """Return the central 95 % range of rms error over bound, for runs at the bound, from W^T W, (R, R)."""
     ends = torch.tensor([(1 - MIDDLE) / 2, (1 + MIDDLE) / 2], dtype=torch.float64)
     low, high = torch.quantile(ratio_draws(matrix), ends).tolist()
     return low, high

@@ -92,7 +92,7 @@ def learned_from(data: SplitData, noise: NoiseEstimate | None) -> Segment:
 
 
 def as_test(measured: Segment) -> Trajectories:
-    """Return the positions or states that measurements show as test trajectories, NaN elsewhere."""
+    """Return the measured positions or states as test trajectories, NaN elsewhere."""
     shown = located_at(measured.instrument, measured.values, measured.times)
     missing = 2 * measured.instrument.dof - shown.shape[-1]
     return Trajectories(pad(shown, (0, missing), value=torch.nan), measured.times)

@@ -52,7 +52,7 @@ def remedy(dynamics: nn.Module, segment: Segment, robust: RobustName) -> str:
 
 
 def invisible(dynamics: nn.Module, segment: Segment, noise: NoiseEstimate | None = None) -> str:
-    """Return a remark that a bias of all readings would go unnoticed; "" if it shows or was estimated."""
+    """Return a remark that a bias of all readings would go unnoticed; "" if it is visible or estimated."""
     direct = isinstance(segment.instrument.measurement, (Position, State))
     if not direct or getattr(dynamics, "anchored", True) or (noise is not None and noise.bias):
         return ""

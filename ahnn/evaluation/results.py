@@ -32,7 +32,7 @@ class Results(NamedTuple):
         space: description of the state components.
         rows: scores, each with its identity.
         training: training information, such as `seed`, `window`, `val_loss` and `seconds`.
-        numbers: further numbers of each plugin, by plugin name.
+        numbers: additional numbers of each plugin, by plugin name.
         about: versions, command, machine and date; see `provenance`.
         schema: version of the file.
     """

@@ -104,7 +104,7 @@ def label_time(axes: Any, axis: Axis) -> None:
 
 
 def label_errors(case: Case, panels: Iterable[Any], word: str = "error") -> None:
-    """Label the vertical axes of a panel of positions and one of velocities, if there is one."""
+    """Label the vertical axes of a panel of positions and, if present, of a panel of velocities."""
     for axes, name in zip(panels, NAMES, strict=False):
         called, unit = quantity(case.space, name)
         axes.set_ylabel(f"{called} {word} [{unit}]")

@@ -84,7 +84,7 @@ def judge(prepared: Prepared, seconds: float, steps: int | None = None) -> float
     Args:
         prepared: prepared training run.
         seconds: duration of its steps.
-        steps: their number; None for those of its trainer.
+        steps: number of its steps; None for the number of steps of its trainer.
     """
     folder, data, trainer, plan = prepared.folder, prepared.data, prepared.trainer, prepared.assessment
     if data.stages is not None:

@@ -28,7 +28,8 @@ FIGURES = 3.0
 def evaluation_seconds(prepared: Prepared) -> float:
     """Estimate the time of predictions, filters, tests and figures in seconds.
 
-    A plugin's method `rollouts` returns how many rollouts over so many samples take as long as it does.
+    A plugin's method `rollouts` returns how many rollouts over a given number of samples take as long as it
+    does.
     """
     data, plan = prepared.data, prepared.assessment
     test, dynamics = data.splits["test"], prepared.model.dynamics.frozen()

@@ -234,7 +234,7 @@ def orbit_guess(run: Run, segment: Segment) -> Tensor | None:
 def covariance_of(run: Run, best: BestFit, bias_sd: Tensor) -> Tensor:
     """Return the covariance (D, D) of the last state of a fitted path.
 
-    Causes are the noise, and parameters and biases that the fit takes as known (consider covariance; Tapley,
+    Causes are the noise, and parameters and biases that the fit treats as known (consider covariance; Tapley,
     Schutz & Born 2004, chapter 6).
 
     Raises:

@@ -22,10 +22,10 @@ log = logging.getLogger("ahnn")
 
 @dataclass(frozen=True, kw_only=True)
 class PreparedEnsemble:
-    """Trainings at once, before anything is generated or written.
+    """Joint training runs, before anything is generated or written.
 
     Attributes:
-        folder: folder of the ensemble; those of the members are inside.
+        folder: folder of the ensemble; the folders of the members are inside.
         config: content of its config.yaml.
         members: the training of each member, which share their data.
         model: the members as one model.

@@ -1,4 +1,4 @@
-"""Shards of a catalogue that several workers follow, and one output of them all."""
+"""Division of a catalogue into shards for several workers, and merging of their outputs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ahnn.manifest import require_own
 
 
 def require_divisible(options: AssimilationRequest) -> None:
-    """Raise UserError for a stream that workers cannot divide among them."""
+    """Raise UserError for a stream that cannot be divided among workers."""
     expected = {
         "output": ("a FILE .csv or .jsonl", options.output, Path(options.output).suffix != ".parquet"),
         "state": ("a FOLDER for the states of the workers", options.state, options.state is not None),
@@ -57,7 +57,7 @@ def output_of(options: AssimilationRequest, shard: ObjectShard) -> Path:
 def join(
     stream: Stream, catalogue: Catalogue, shards: Sequence[ObjectShard], found: Sequence[CatalogueOutcome]
 ) -> None:
-    """Write one output from those of all workers, and conclude as one worker does.
+    """Merge the outputs of all workers into one, and conclude as a single worker does.
 
     Raises:
         UserError: outputs that do not have one row for each followed line.

@@ -52,10 +52,10 @@ class OrbitFollowing(NamedTuple):
 
     Attributes:
         setup: setup of the determination.
-        folder: folder from which the names of its files start.
-        estimator: estimator that follows.
+        folder: base folder of the file names in the setup.
+        estimator: estimator that filters the measurements.
         noise: standard deviations [position, velocity] added per minute, km and km/s.
-        other: file of the measurements that are followed; None: the measurements of the setup.
+        other: file of the measurements to filter; None: the measurements of the setup.
     """
 
     setup: OrbitSetup

@@ -77,7 +77,7 @@ class Candidate(NamedTuple):
     Attributes:
         name: name of the instrument.
         samples: (K,) indices of their times.
-        rows: (K M, R) derivative by the unknowns, over the standard deviations.
+        rows: (K M, R) derivatives with respect to the unknowns, divided by the standard deviations.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Blocks of starts: one process predicts them in turn, several share them, with the same results."""
+"""Blocks of starts: one process predicts them in turn, or several share them, with the same results."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def predict_block(block: StartBlock) -> Prediction:
 
 @cache
 def _loaded(runs: tuple[str, ...], pretrained: str | None, ckpt: str) -> list[Run]:
-    """Return runs, all with the covariance of their parameters or none: a mean over some is meaningless."""
+    """Return runs, all with a parameter covariance or all without: a mean over some is meaningless."""
     found = named_runs(list(runs) or None, pretrained, ckpt)
     if not all(run.uncertainty for run in found):
         return [replace(run, uncertainty=None) for run in found]

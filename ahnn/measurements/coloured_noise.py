@@ -1,10 +1,10 @@
 """Whitening of first-order coloured plus white noise, for measurements at arbitrary times.
 
 The noise of a component, in its standard deviations, is w + c: white noise of variance 1 - f, and first-order
-Gauss-Markov noise of variance f, which correlates by exp(-t / memory) (Tapley, Schutz & Born 2004, section
+Gauss-Markov noise of variance f, with correlation exp(-t / memory) (Tapley, Schutz & Born 2004, section
 4.9). Filters estimate c as additional states (`ahnn.estimation.sensor_error`). A scalar Kalman filter of c in
-each row makes white residuals of coloured ones: innovations over their standard deviations. Its gains depend
-only on times, so that whitening is a linear map, lower triangular in time.
+each row turns coloured residuals into white ones: innovations over their standard deviations. Its gains
+depend only on times, so that whitening is a linear map, lower triangular in time.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from torch import Tensor
 
 
 class Colour(NamedTuple):
-    """Coloured part of the noise of M measured numbers.
+    """Coloured part of the noise of M measured components.
 
     Attributes:
         fractions: f, (M,), of the variance, from 0 to 1.
@@ -42,7 +42,7 @@ class Whitening(NamedTuple):
 
     @classmethod
     def of(cls, colour: Colour, times: Tensor, there: Tensor) -> Whitening:
-        """Return the map of rows at times (B, T), with a mask of measured numbers, (B, T, M) bool."""
+        """Return the map of rows at times (B, T), with a mask of measured values, (B, T, M) bool."""
         fractions, memories = (part.to(times) for part in colour)
         gaps = torch.nn.functional.pad(times.diff(dim=1), (1, 0))
         kept = (-gaps.unsqueeze(-1) / memories).exp()

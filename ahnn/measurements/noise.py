@@ -26,7 +26,7 @@ def noise_deviations(
     Args:
         measurement: the model, with M components.
         given: one number for all components, or one for each; for states also one for positions and one for
-            momenta; for several instruments of one size, the numbers of one of them. None: the model's own
+            momenta; for several instruments of equal size, the values for one of them. None: the model's own
             (`deviations`), an error if it has none.
         who: the parameter, for messages.
         names: names of the components, for messages; None: the names in the model.

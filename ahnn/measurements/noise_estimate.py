@@ -41,7 +41,7 @@ class UnknownNoise(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseEstimate:
-    """Noise of M measured numbers, in their units.
+    """Noise of M measured components, in their units.
 
     Attributes:
         deviations: standard deviations.
@@ -49,7 +49,7 @@ class NoiseEstimate:
         fractions: coloured fractions of the variance; empty if not estimated.
         memories: time constants of that part.
         bias: offset of readings from the truth; empty if not estimated.
-        bias_sd: standard deviations of these.
+        bias_sd: standard deviations of the bias.
         prior_sd: prior standard deviations of biases, 0 without bias.
         freedom: degrees of freedom of Student's noise, whose scales are the deviations; 0 where they cannot
             be distinguished from normal noise; empty if not estimated.
@@ -99,7 +99,7 @@ class NoiseEstimate:
         return asdict(self)
 
     def sentences(self, names: tuple[str, ...], units: tuple[str, ...]) -> list[str]:
-        """Describe the estimates for numbers with given names and units."""
+        """Describe the estimates for components with given names and units."""
         said = list[str]()
         if self.freedom:
             each = enumerate(zip(names, units, strict=True))
@@ -173,6 +173,6 @@ class NoiseEstimate:
 
 
 def freedom_of(values: list[float]) -> Tensor | None:
-    """Return degrees of freedom (M,), inf where they are 0; None if the noise is normal in all numbers."""
+    """Return degrees of freedom (M,), inf where they are 0; None if all components are normal."""
     found = torch.tensor([value or math.inf for value in values], dtype=torch.float64)
     return None if bool(found.isinf().all()) else found

@@ -160,7 +160,7 @@ class StationsOfFile(Several):
 
     Attributes:
         stations: stations by name.
-        deviations: standard deviations of all numbers.
+        deviations: standard deviations of all components.
         bias_sd: standard deviations of their biases, 0: no bias.
 
     Raises:

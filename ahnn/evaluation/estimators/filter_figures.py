@@ -145,7 +145,7 @@ MARKS = {("perturbed", True): "s", ("perturbed", False): "o", ("true", False): "
 
 
 def consistency(case: Case, setting: Setting, chosen: Chosen) -> Figure:
-    """Plot NEES, and NIS per measured number, over all trajectories over time with their 95 % bands."""
+    """Plot NEES, and NIS per measured value, over all trajectories over time with their 95 % bands."""
     figure = style.canvas(8, 6.6)
     panels = figure.subplots(2, 1, sharex=True)
     axis, members = style.time_axis(case), len(case.test.states)
@@ -242,7 +242,7 @@ def _columns(case: Case, *values: Tensor) -> list[Tensor]:
 
 
 def _member(outcome: Outcome) -> int:
-    """Return the index of the first trajectory that was not lost, or of the first."""
+    """Return the index of the first trajectory that was not lost, or 0 if all were."""
     return int((outcome.result.status != 0).to(torch.int64).argmin())
 
 

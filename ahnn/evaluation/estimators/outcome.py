@@ -42,7 +42,7 @@ class Outcome(NamedTuple):
         nees: (B, T + 1) normalised estimation error squared.
         first: index of the first updated sample.
         result: filter result.
-        more: further numbers of this estimator.
+        more: additional numbers of this estimator, for metrics.json.
     """
 
     who: Who
@@ -214,7 +214,7 @@ def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
 
     Means are over trajectories and over times after the first update; `band_95` is the 95 % band of such a
     mean for a consistent filter. `in_band` is the fraction of times at which the mean over trajectories is
-    within its band, `one_time_band_95` for the NEES; the band of the NIS uses the count of numbers measured.
+    within its band, `one_time_band_95` for the NEES; the band of the NIS uses the number of measured values.
     `nees_of_phases` is the NEES by `System.phases`, `nees_of_start` the NEES at time zero.
     """
     result, first = outcome.result, outcome.first
