@@ -33,7 +33,8 @@ def save(
         data: training trajectories, for `run.novelty`; without them novelty is unknown.
 
     Raises:
-        UserError: a folder with content, weights that are not finite, or a space or data of other states.
+        UserError: a folder with content, weights that are not finite, or a space or data with different
+            states.
     """
     if not isinstance(dynamics, Dynamics) or not hasattr(dynamics, "spec"):
         message = f"dynamics: expected an ahnn.Hamiltonian or similar; received {described(dynamics)}"

@@ -52,7 +52,7 @@ def evaluation_seconds(prepared: Prepared) -> float:
 
 @torch.no_grad()
 def _step_seconds(flow: Any, states: torch.Tensor, rows: int, dt: float) -> float:
-    """Return the median time of a step of so many states, after a warm-up call."""
+    """Return the median time of a step of `rows` states, after a warm-up call."""
     x, times = states[torch.arange(rows) % len(states)], list[float]()
     clock = x.new_zeros(clock_of(flow))
     x = extended(x, Clock(clock, clock))

@@ -41,7 +41,7 @@ def require_divisible(options: AssimilationRequest) -> None:
 
 
 def shards_of(catalogue: Catalogue, workers: int) -> list[ObjectShard]:
-    """Return the shards of at most so many workers, each with at least one object."""
+    """Return the shards of at most `workers` workers, each with at least one object."""
     for count in range(workers, 0, -1):
         shards = [ObjectShard(number, count) for number in range(1, count + 1)]
         if not catalogue.names or all(shard.holds(catalogue.names).any() for shard in shards):

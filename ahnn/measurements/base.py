@@ -58,7 +58,7 @@ class Sloped(Protocol):
     """Measurement model with its own derivatives, which need not be differentiable by torch."""
 
     def slope(self, x: Tensor, t: Time) -> Tensor:
-        """Return the derivatives (B, M, D) by the states x (B, D) at time t."""
+        """Return the derivatives (B, M, D) with respect to the states x (B, D) at time t."""
         ...
 
 

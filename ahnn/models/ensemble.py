@@ -1,4 +1,4 @@
-"""Members of a deep ensemble trained at once: one loop, one pass over the data, independent steps."""
+"""Members of a deep ensemble trained together: one loop, one pass over the data, independent steps."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ class EnsembleModel(LightningModule):
     """Members that differ in their initial weights and the order of their batches.
 
     Gradient steps minimise the sum of the losses: with an element-wise optimiser each member takes the steps
-    of a training of its own. Second-order steps are taken member by member, with a damping of their own.
+        of a separate training run. Second-order steps are taken member by member, with a damping of their
+        own.
 
     Args:
         members: models of one configuration, each built with its seed.
@@ -154,7 +155,7 @@ class EnsembleModel(LightningModule):
     def losses(self, objectives: Sequence[Objective], batch: Any, optimizers: Any) -> Tensor:
         """Return the sum of the losses of the members, with its graph, or after a second-order step of each.
 
-        Residuals of single rows are computed for all members at once.
+        Residuals of single rows are computed for all members together.
 
         Args:
             objectives: objective of each member.

@@ -1,4 +1,4 @@
-"""MLP: a network from one state to the next."""
+"""MLP: a network that maps one state to the next."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ def finite_prediction(prediction: Prediction, starts: Starts, unit: str) -> tupl
     """Return the trajectories whose states and covariances are finite, and report the others.
 
     Raises:
-        TrainingError: none is; the message names the first with the time.
+        TrainingError: no trajectory is finite; the message names the first failure and its time.
     """
     wrong = ~prediction.states.isfinite().all(-1)
     if prediction.covariances is not None:

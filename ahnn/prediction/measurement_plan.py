@@ -1,9 +1,9 @@
 """Measurements that lower the variance of a forecast most, chosen before any is taken.
 
-To first order, a measurement's information does not depend on its value. The unknowns are independent with
-unit variance, the columns of factors of covariances. A plan grows by the candidate that lowers the trace of
-the forecast's covariance most; then individual measurements are exchanged while that lowers it further
-(Fedorov 1972, Theory of Optimal Experiments, chapter 3).
+To first order, a measurement's information does not depend on its value. The unknowns are independent and
+have unit variance; they correspond to the columns of covariance factors. A plan grows by the candidate that
+lowers the trace of the forecast's covariance most; then individual measurements are exchanged while that
+lowers it further (Fedorov 1972, Theory of Optimal Experiments, chapter 3).
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ def plan_measurements(candidates: Sequence[Tensor], forecast: Tensor, count: int
     """Choose measurements until no exchange of one of them improves the plan; best first.
 
     Args:
-        candidates: for each, the derivative (K, R) of its K measurements by the unknowns, over their standard
-            deviations.
+        candidates: for each, the derivatives (K, R) of its K measurements with respect to the unknowns,
+            divided by their standard deviations.
         forecast: (G, R) derivative of the predicted values.
         count: number to choose, at most all.
     """
@@ -75,7 +75,7 @@ def _one_by_one(
 
 @torch.no_grad()
 def variance_with(candidates: Sequence[Tensor], forecast: Tensor) -> Tensor:
-    """Return the trace of a forecast's covariance after all of some measurements, see `plan_measurements`."""
+    """Return the trace of a forecast's covariance after given measurements, see `plan_measurements`."""
     return _trace(_informed([forecast], torch.cat(list(candidates)))[0])
 
 
@@ -96,7 +96,7 @@ def _reduction(rows: Tensor, forecast: Tensor) -> float:
 
 
 def _informed(parts: Sequence[Tensor], rows: Tensor) -> list[Tensor]:
-    """Return derivatives by unknowns whose variance is again one after some measurements (K, R)."""
+    """Return derivatives with respect to unknowns that have unit variance after measurements (K, R)."""
     information = torch.eye(rows.shape[1]).to(rows) + rows.mT @ rows
     root = torch.linalg.cholesky(information)
     return [torch.linalg.solve_triangular(root, part.mT, upper=False).mT for part in parts]

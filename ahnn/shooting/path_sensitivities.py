@@ -1,7 +1,7 @@
 """Paths of a flow and their sensitivities to initial state and parameters.
 
 Pure functions of increments (x, dt) -> x(t + dt) - x(t). A path is computed recursively, but its derivatives
-are not: the Jacobians of all steps are formed at once and then multiplied.
+are not: the Jacobians of all steps are formed in one batch and then multiplied.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ def student(freedom: float | Tensor) -> Robust:
     """Return the loss of Student's distribution: minus twice its logarithm, but for a constant.
 
     Args:
-        freedom: degrees of freedom, common or one for each of M numbers, (M,); inf is normal noise.
+        freedom: degrees of freedom, common or one for each of M components, (M,); inf is normal noise.
     """
     nu = torch.as_tensor(freedom, dtype=torch.float64).clamp(max=NORMAL_FREEDOM)
     return Robust(

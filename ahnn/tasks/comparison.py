@@ -21,7 +21,7 @@ def table(name: str, task: FieldTask, scores: Scores) -> str:
     Args:
         name: name of the task.
         task: definition of the task.
-        scores: `score` and `seconds` of each draw, and `floor` or further scores if available.
+        scores: `score` and `seconds` of each draw, and `floor` or other scores if available.
     """
     floors = sorted({one["floor"] for found in scores.values() for one in found if "floor" in one})
     known = ", ".join(f"{key} {value:.2g}" for key, value in task.published.items()) or "figures only"

@@ -199,7 +199,7 @@ def stations_of(
 
 
 def by_kind(choice: KindChoice) -> Array:
-    """Return the numbers of each kind in km, rad and km/s, (6,); NaN for none."""
+    """Return the value of each kind in km, rad and km/s, (6,); NaN for none."""
     given = [getattr(choice, one.name) for one in sorted(fields(choice), key=lambda f: KINDS.index(f.name))]
     numbers = np.array([np.nan if one is None else one for one in given], dtype=np.float64)
     return np.where(TURNING, np.radians(numbers), numbers)
@@ -241,7 +241,7 @@ def require_light(setup: OrbitSetup, data: TrackingData) -> None:
 def biases_of(choice: KindChoice, data: TrackingData, entries: dict[str, StationEntry]) -> StationBiases:
     """Return which stations and kinds have biases, their known values, and standard deviations.
 
-    A station's own numbers replace the common numbers; a known bias without deviation is kept.
+    A station's own values replace the common values; a known bias without deviation is kept.
     """
     pairs, means, deviations = list[tuple[int, int]](), list[float](), list[float]()
     for s, name in enumerate(data.stations):

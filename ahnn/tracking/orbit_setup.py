@@ -51,7 +51,7 @@ class GravityChoice:
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceForce:
-    """Radiation pressure, or the common part of it and drag.
+    """Options of radiation pressure, which are also options of drag.
 
     Attributes:
         area_to_mass: m^2/kg.
@@ -138,7 +138,7 @@ class OrbitSetup:
         corrections: corrections of ranges and angles.
         noise: standard deviations, for files without them: km, degrees and km/s.
         noise_estimated: whether to estimate them from the residuals, by kind.
-        biases: prior standard deviation of a bias per station; no number for no bias.
+        biases: prior standard deviation of a bias per station; omitted for no bias.
         loss: squares, or Huber's.
         held_out: final fraction of the measurements excluded from a second fit.
         compare: reference orbit, CPF.

@@ -96,7 +96,7 @@ class Sightings:
         return int(self._observations.times.isfinite().sum(1).min()) - 1
 
     def read(self) -> Trajectories:
-        """Return the positions that simultaneous ranges and angles show, NaN elsewhere; momenta are NaN."""
+        """Return the positions given by simultaneous ranges and angles, NaN elsewhere; momenta are NaN."""
         return self._trajectories
 
     def sensors(self) -> StationsOfFile:

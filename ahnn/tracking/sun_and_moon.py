@@ -33,7 +33,7 @@ class SunAndMoon(NamedTuple):
 
 
 def sun_and_moon(epoch: int, first: float, last: float) -> SunAndMoon:
-    """Return the positions of Sun and Moon between two times; TDB is taken as TT (2 ms).
+    """Return the positions of Sun and Moon between two times; TT is used as TDB (to 2 ms).
 
     Args:
         epoch: epoch of time zero, picoseconds of UTC as in `TrackingData`.

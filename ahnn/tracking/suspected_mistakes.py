@@ -43,7 +43,7 @@ DEGREE = np.pi / 180
 
 
 class Turned(NamedTuple):
-    """The Earth, turned further.
+    """Earth rotation with an additional angle.
 
     Attributes:
         rotation: rotation to turn.
@@ -92,7 +92,7 @@ def size_of(problem: OrbitProblem, point: LinearisedOrbit) -> float:
 def nearest_first(problem: OrbitProblem) -> list[tuple[str, OrbitProblem]]:
     """Return the mistakes whose correction brings measurements closest to the initial orbit, best first.
 
-    All other cases are not fitted: their paths diverge.
+    Other cases are not fitted, since their paths diverge.
     """
 
     def distance(other: OrbitProblem) -> float:

@@ -104,7 +104,8 @@ def estimated(
         dynamics: float64 dynamics fitted to all measurements.
         train: training segments with the stated white noise.
         robust: the loss of the fit.
-        determined: number of parameters determined by the measurements, which made residuals smaller.
+        determined: number of parameters determined by the measurements; their fit makes the residuals
+            smaller.
         unknown: noise parameters to be estimated.
     """
     some = train.first(SAMPLES).rows(slice(None, None, -(-len(train.times) // PATHS)))
@@ -132,7 +133,7 @@ def heavy_tailed(
 
     Args:
         dynamics: float64 dynamics fitted to all measurements.
-        train: with the noise of the fit.
+        train: training segments, with the noise used in the fit.
         robust: the loss of the fit where its noise is normal.
         determined: number of parameters that the measurements determine.
         stated: stated standard deviations, (M,).

@@ -6,7 +6,7 @@ samples x_k the deviation e of a prediction obeys, up to its square,
 
     e_{k+1} = M_k e_k + d_k,    d_k = F(x_k) - x_{k+1},    M_k = F'(x_k),
 
-with the flow F of one step: all steps are taken at once, and no path is integrated. The start e_0 is
+with the flow F of one step: all steps are evaluated in one batch, and no path is integrated. The start e_0 is
 eliminated, as in `ahnn.training.shooting`.
 """
 

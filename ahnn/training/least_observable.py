@@ -25,7 +25,7 @@ def least_told(
     Simulates the filter on some training trajectories, with initial uncertainty as large as the states.
 
     Args:
-        dynamics: float64 dynamics with a field, whose parameters these are.
+        dynamics: float64 dynamics with a field and these parameters.
         spread: L, shape (P, R); L L^T is the covariance of the parameters.
         train: all training measurements.
         robust: robust loss.

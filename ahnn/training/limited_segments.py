@@ -20,7 +20,7 @@ def freedom(batch: Segment) -> Tensor:
 
 
 def near(sums: Tensor, degrees: Tensor, hopeless: float = HOPELESS) -> Tensor:
-    """Return which segments converged, (B,) bool: none beyond `hopeless`, with meaningless derivatives."""
+    """Return which segments converged, (B,) bool; those beyond `hopeless` have meaningless derivatives."""
     return (sums <= hopeless * degrees) & (degrees > 0)
 
 

@@ -88,7 +88,7 @@ class WideProblem(ShootingProblem):
     def fit(
         self, trial: Trial, starts: Tensor | None, batch: Segment, steps: Steps, hopeless: float
     ) -> Fitted:
-        """Fit the initial states; with a journal their paths follow only from them, so that bits agree."""
+        """Fit the initial states; with a journal, paths are computed only from them: bit-identical."""
         return self._paths(
             trial, lambda: super(WideProblem, self).fit(trial, starts, batch, steps, hopeless), batch, steps
         )

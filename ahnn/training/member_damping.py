@@ -62,7 +62,7 @@ def member_damped_steps(
     batches: Sequence[Window],
     groups: Sequence[dict[str, Any]],
 ) -> Tensor:
-    """Take a step of each member, and return the mean squared residuals before, (E,).
+    """Take a step of each member, and return the mean squared residuals before it, (E,).
 
     Args:
         objective: what is fitted.

@@ -1,4 +1,4 @@
-"""Normal equations of all members of an ensemble at once, by `torch.func.vmap` over their parameters.
+"""Normal equations of all members of an ensemble in one batch, by `torch.func.vmap` over their parameters.
 
 A step of a small network costs more in dispatched operations than in arithmetic. Jacobians, products and
 factorisations of the members here are single operations, with a leading member axis.

@@ -42,7 +42,7 @@ class Residuals(NamedTuple):
         rows: (B, T, M).
         of_start: their derivatives with respect to the starts, (B, T, M, D).
         times: (B, T).
-        there: mask of the measured numbers, (B, T, M) bool.
+        there: mask of the measured values, (B, T, M) bool.
     """
 
     rows: Tensor

@@ -30,7 +30,7 @@ def require_resumable(path: Path, model: Any, trainer: Any) -> None:
         trainer: trainer with its callbacks.
 
     Raises:
-        UserError: it is not; the message names the difference.
+        UserError: the checkpoint is not; the message names the difference.
     """
     content = read_checkpoint(path)
     parts = ("data", "settings")

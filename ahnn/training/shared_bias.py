@@ -22,7 +22,7 @@ class SharedBias(NamedTuple):
     """K biases, linearised.
 
     Attributes:
-        places: indices of the numbers with a bias, (K,).
+        places: indices of the components with a bias, (K,).
         value: b, (K,), in the units of the measurements.
         precision: precision of the prior about zero, (K,).
         matrix: S, (K, K).
@@ -58,13 +58,13 @@ class SharedBias(NamedTuple):
 
 
 def unknown_places(instrument: Instrument) -> Tensor:
-    """Return the indices of the numbers with an unknown bias, (K,)."""
+    """Return the indices of the components with an unknown bias, (K,)."""
     sd = instrument.bias_sd
     return torch.zeros(0, dtype=torch.int64) if sd is None else (sd > 0).nonzero().squeeze(-1)
 
 
 def of_biases(segment: Segment) -> Tensor:
-    """Return the derivative of each white residual with respect to the bias of its number, (B, T, M)."""
+    """Return the derivative of each white residual with respect to the bias of its component, (B, T, M)."""
     there = ~segment.values.isnan()
     rows, whitening = there / segment.instrument.deviations, segment.whitening
     return rows if whitening is None else whitening(rows)
@@ -106,5 +106,5 @@ def eliminated(found: Equations, instrument: Instrument) -> tuple[Equations, Sha
 
 
 def spread_over(values: Tensor, places: Tensor, size: int) -> Tensor:
-    """Return numbers (K,) at their places among M, zeros elsewhere."""
+    """Return values (K,) at their places among M components, zeros elsewhere."""
     return values.new_zeros(size).index_copy(0, places, values)

@@ -6,7 +6,7 @@ The log likelihood of n residuals e with the scale s and nu degrees of freedom i
 
 For given nu the scale is the fixed point of expectation and maximisation, s^2 = sum w e^2 / n with the
 weights w = (nu + 1) / (nu + e^2 / s^2) (Lange, Little & Taylor 1989, J. Am. Stat. Assoc. 84, 881-896). Here
-both are found at once by a quasi-Newton method. Information of a residual about s and nu is Fisher's, in
+both are found jointly by a quasi-Newton method. Information of a residual about s and nu is Fisher's, in
 closed form (ibid., appendix B).
 
 A fit makes residuals smaller, and most where they are small: a value of weight w with the derivatives x by
@@ -43,7 +43,7 @@ SMALLEST = 0.1
 
 
 class FoundTails(NamedTuple):
-    """Noise of one measured number.
+    """Noise of one measured component.
 
     Attributes:
         scale: s, or the standard deviation where the noise is normal.
@@ -65,7 +65,8 @@ def without_fit(residuals: Tensor, of_start: Tensor, freedom: Tensor | None) -> 
 
     Args:
         residuals: in scales of the noise of the fit.
-        of_start: their derivatives by the starts, times the square roots of the weights, (B, T, M, D).
+        of_start: their derivatives with respect to the starts, times the square roots of the weights, (B, T,
+            M, D).
         freedom: degrees of freedom of the fit, (M,); None for squares.
     """
     taken = torch.linalg.qr(of_start.flatten(1, 2)).Q.square().sum(-1).view_as(residuals)
@@ -94,7 +95,7 @@ def most_likely_tails(e: Tensor) -> FoundTails:
 
 
 def deviations_of(freedom: float, count: float) -> tuple[float, float]:
-    """Return the standard deviations of the logarithm of the scale, and of nu, from so many residuals."""
+    """Return the standard deviations of the logarithm of the scale, and of nu, for a number of residuals."""
     nu, half = freedom, torch.tensor([freedom / 2, (freedom + 1) / 2], dtype=torch.float64)
     first, second = torch.special.polygamma(1, half).tolist()
     of_scale, both = 2 * nu / (nu + 3), -2 / ((nu + 1) * (nu + 3))

@@ -16,9 +16,10 @@ class Acceleration(NamedTuple):
 
     Attributes:
         value: (..., 3).
-        by_position: its derivatives by the position, (..., 3, 3).
-        by_velocity: derivative by the velocity, (..., 3, 3); (3, 3) if it is zero.
-        by_parameters: derivative by the parameters of the term, (..., 3, P); (3, 0) if there are none.
+        by_position: its derivative with respect to the position, (..., 3, 3).
+        by_velocity: derivative with respect to the velocity, (..., 3, 3); (3, 3) if it is zero.
+        by_parameters: derivative with respect to the parameters of the term, (..., 3, P); (3, 0) if there are
+            none.
     """
 
     value: Array

@@ -55,7 +55,7 @@ def read_sinex(*paths: str | Path) -> StationCatalogue:
     """Read the stations of one or several files, for example positions and eccentricities separately.
 
     Raises:
-        UserError: an error, with its line number, a file with neither, or a station in two files.
+        UserError: an error, with its line number, a file without either, or a station in two files.
     """
     found = StationCatalogue()
     for path in map(Path, paths):

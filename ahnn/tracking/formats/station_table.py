@@ -1,4 +1,4 @@
-"""Plain tables of tracking data: each line has an epoch, a kind, a station and numbers.
+"""Plain tables of tracking data: each line has an epoch, a kind, a station and values.
 
     2010-11-02T03:00:13.3851   RANGE       Uralla         38014.9488
     2010-11-02T03:00:50.5716   AZ_EL       Kumsan           211.1446   43.4099

@@ -23,7 +23,7 @@ class MemberPoints(Checkpoint):
     Args:
         folders: run folder of each member.
         monitor: name of the metric.
-        rollouts: for each member, the validation rollouts of a training of its own.
+        rollouts: validation rollouts of each member, as in a separate training run.
     """
 
     def __init__(self, folders: Sequence[Path], monitor: str, rollouts: Sequence[ValidationRollout]) -> None:
