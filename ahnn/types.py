@@ -220,7 +220,7 @@ class Window(NamedTuple):
     weight: float = 1.0
 
     def step(self, k: int) -> TimeStep:
-        """Return the length of step k, as an integrator takes it."""
+        """Return the length of step k, in the form used by integrators."""
         return self.dt[:, k] if isinstance(self.dt, Tensor) else self.dt
 
     def first(self, steps: int) -> Window:

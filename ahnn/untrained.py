@@ -72,7 +72,7 @@ def Hamiltonian(
 
     Raises:
         UserError: an unknown option, a value out of range, options that contradict one another, or
-            trajectories of another number of components.
+            trajectories with a different number of components.
     """
     own = {"inertia": inertia, "hamiltonian": structure, "inputs": inputs, "scaling": scaling}
     own |= {"network": _network(hidden, depth, activation), "integrator": {"name": integrator}}

@@ -30,7 +30,7 @@ class Workers(NamedTuple):
 
     Attributes:
         engine: processes of this machine, or Ray.
-        number: of tasks at a time.
+        number: number of parallel tasks.
     """
 
     engine: Literal["processes", "ray"]
@@ -38,7 +38,7 @@ class Workers(NamedTuple):
 
     @classmethod
     def of(cls, text: str | int) -> Workers:
-        """Return the workers of `2`, processes of this machine, or of `ray:2`; raises UserError."""
+        """Parse workers: `2` means processes of this machine, `ray:2` means Ray tasks; raises UserError."""
         found = re.fullmatch(r"(ray:)?([1-9]\d{0,4})", str(text))
         if found is None:
             message = f"workers: expected a number, such as 2, or ray:2; received {text!r}"
@@ -56,7 +56,7 @@ class Workers(NamedTuple):
         A task whose worker is killed begins again in another, up to `STARTS` times in all.
 
         Raises:
-            UserError: Ray is missing, or raised by a task, as any other exception of it.
+            UserError: Ray is missing; exceptions of a task are raised again.
             TrainingError: the worker of a task was killed each time.
         """
         mapped = _on_ray if self.engine == "ray" else _on_processes
@@ -64,7 +64,7 @@ class Workers(NamedTuple):
 
 
 def connected(cpus: int, **options: Any) -> Any:
-    """Return the module ray, connected to the cluster of `ray start`, or to a new one of this process.
+    """Return the module ray, connected to the cluster of `ray start`, or to a new cluster of this process.
 
     Args:
         cpus: number of processors of a new cluster.
@@ -145,7 +145,7 @@ def _killed() -> TrainingError:
 
 
 def _end_with_parent() -> None:
-    """Leave signals of the terminal to the parent, and end at once when it ends."""
+    """Leave signals of the terminal to the parent, and end as soon as it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with(multiprocessing.parent_process())
 

@@ -69,7 +69,7 @@ class EnsembleModel(LightningModule):
                 raise UserError(message)
 
     def optimizers_of_all(self) -> Any:
-        """Return one optimiser of the weights of all members, or for second-order steps a list of one each.
+        """Return one optimiser of all members' weights; for second-order steps, a list with one per member.
 
         Raises:
             UserError: an optimiser whose steps would couple the members.

@@ -89,7 +89,7 @@ class StationMeasurement(Differing):
         return torch.from_numpy(values).reshape(*x.shape[:-1], len(self.names))
 
     def slope(self, x: Tensor, t: Time) -> Tensor:
-        """Return the derivatives (B, M, D) of the measurements by the states x (B, D) at time t."""
+        """Return the measurements' derivatives (B, M, D) with respect to states x (B, D) at time t."""
         states = x.detach().numpy()
         found = self._predicted(states, float(t))
         by = found.by_state[:, self._kinds]

@@ -15,7 +15,7 @@ TIMES_TYPICAL = 5.0
 
 
 def freedom(batch: Segment) -> Tensor:
-    """Return the degrees of freedom of each segment, (B,): measured numbers beyond the start's 2n."""
+    """Return the degrees of freedom of segments, (B,): measured values minus 2n unknowns of the start."""
     return (batch.measured - 2 * batch.instrument.dof).double()
 
 

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt steps of all members of an ensemble at once, each with its own damping and decision."""
+"""Levenberg-Marquardt steps of all members of an ensemble in one batch, each with its own damping."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class StepTaken(NamedTuple):
 
 
 def together_in_steps(objective: Objective, members: Sequence[Dynamics], optimizers: Sequence[Any]) -> bool:
-    """Return whether second-order steps of all members are taken at once: for small networks on windows."""
+    """Return whether second-order steps of members form one batch, as for small networks on windows."""
     first = [*members[0].parameters()]
     plain = all(isinstance(one, LevenbergMarquardt) and not one.acceleration for one in optimizers)
     small = sum(p.numel() for p in first) <= MOST and units_of(first) is None

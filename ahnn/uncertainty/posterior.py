@@ -34,8 +34,8 @@ class Uncertainty:
         directions: (P, K) parameter directions least observable by a filter from similar measurements, in
             order of importance; None if not computed.
         step: (P,) step in function space (`ahnn.dynamics.linearised`), if any.
-        before: dynamics and distribution of their parameters before that step, once it is taken. They
-            describe the same uncertainty of functions with a third of the network.
+        before: dynamics and distribution of their parameters before that step, if it was taken. They describe
+            the same uncertainty of functions with a third of the network.
     """
 
     factor: Tensor

@@ -58,7 +58,7 @@ class Horizon:
         noise: standard deviation of their positions.
         seed: seed of that noise.
         period: time over which errors are averaged, a day or a year in the unit of time of the data.
-        unit: its name.
+        unit: name of this period.
         beside: the oblate planet, if there is one.
         mu: mu of two-body motion, or a list of one per body, whose trajectories alternate. None: mu of the
             planet.
@@ -95,7 +95,7 @@ class Horizon:
             raise UserError(message)
 
     def rollouts(self, samples: int) -> float:
-        """Return the cost in rollouts over so many samples: those of the learned and of the known flow."""
+        """Return the cost as a number of rollouts of this length: of the learned and of the known flow."""
         return 2.0 * (1.0 + USUAL * self.arc / samples)
 
     def flows(self, case: Case) -> dict[str, Flow]:

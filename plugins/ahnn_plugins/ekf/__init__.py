@@ -1,7 +1,7 @@
 """Extended Kalman filter: flow and measurements linearised at the mean, covariances as factors.
 
 The Jacobian of a step is its state transition (`ahnn.dynamics.transition`), in closed form for learned
-Hamiltonians; the Jacobian of a measurement is taken by reverse mode (Bar-Shalom, Li & Kirubarajan 2001,
+Hamiltonians; the Jacobian of a measurement is computed by reverse mode (Bar-Shalom, Li & Kirubarajan 2001,
 section 10.3). Prediction and update triangularise rows and subtract nothing (Kailath, Sayed & Hassibi 2000,
 chapter 12). An iterated update relinearises the measurement at the last mean: Gauss-Newton steps to the most
 probable state (Bell & Cathey 1993). Innovation and likelihood refer to the prediction and are unchanged by

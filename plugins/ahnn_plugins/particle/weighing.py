@@ -1,4 +1,4 @@
-"""Weighting of particles by a measurement, at once or in stages that keep enough effective particles."""
+"""Weighting of particles by a measurement, in one step or in stages that keep enough effective particles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs of filter steps in one library call, which calls the flow: in C, or back in torch."""
+"""Sequences of filter steps in one library call, which calls the flow in C or in torch."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class CalledFlow:
         moved: (B, S, D) sigma points after it.
 
     Attributes:
-        left: (B, S, D) points that the library cannot take, such as those with a gradient.
+        left: (B, S, D) points that the library cannot use, such as those with a gradient.
         interrupt: what ended a call other than an error of the flow, which a single step raises again.
     """
 
@@ -98,12 +98,13 @@ class RunSteps(NamedTuple):
 
 
 class DoneSteps(NamedTuple):
-    """Steps that were done.
+    """Completed steps.
 
     Attributes:
-        number: n, how many.
+        number: number n of steps.
         results: memory of `members.results`, of which the first n steps are valid.
-        points: (B, S, D) points after the flow of the step that was not done; None where they are unknown.
+        points: (B, S, D) points after the flow of the first step that was not completed; None where they are
+            unknown.
     """
 
     number: int
@@ -154,7 +155,7 @@ def done_steps(state: FilterState, weights: SigmaWeights, steps: RunSteps) -> Do
 def follow(
     state: FilterState, kernel: SigmaPoints, flow: Flow, run: StepRun, sensor: SensorModel, most: float
 ) -> FollowedRows | None:
-    """Filter the first rows of a run of one member; see `ahnn.estimation.step_runs.RunFilter`."""
+    """Filter the first rows of a sequence of one member; see `ahnn.estimation.step_runs.RunFilter`."""
     if not supported(state, kernel, sensor, run.chol_q, run.rows):
         return None
     starts = torch.tensor(run.starts, dtype=torch.float64).unbind() if clock_of(flow) else ()

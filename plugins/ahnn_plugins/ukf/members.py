@@ -1,4 +1,4 @@
-"""Square-root form in C, batched over members, with the same results as in torch, to rounding.
+"""Square-root form in C, batched over members, with the same results as in torch, up to rounding.
 
 Used on the CPU without gradients. Between two calls of the flow torch executes about a hundred small
 operations dominated by overhead; here there are three or four.
@@ -108,7 +108,7 @@ def follow(
     points: tuple[Tensor, Tensor],
     results: tuple[Tensor, ...],
 ) -> tuple[int, int]:
-    """Execute steps until one needs a decision; return the library's code, and how many are done.
+    """Execute steps until one needs a decision; return the library's code, and the number of completed steps.
 
     Args:
         flow: the process model.

@@ -93,7 +93,7 @@ class UnscentedKalmanFilter(GaussianFilter):
     def follow(
         self, state: FilterState, flow: Flow, run: StepRun, sensor: SensorModel, most: float
     ) -> FollowedRows | None:
-        """Filter the first rows of a run; see `ahnn.estimation.step_runs.RunFilter`."""
+        """Filter the first rows of a sequence; see `ahnn.estimation.step_runs.RunFilter`."""
         return library_runs.follow(state, self.kernel(state.belief), flow, run, sensor, most)
 
     def stepper(self, kernel: Kernel, plan: RunPlan, *, smoothing: bool) -> FilterLoop[FilterState]:

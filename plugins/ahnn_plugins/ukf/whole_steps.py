@@ -25,7 +25,7 @@ ROWS = 4096
 
 
 class WholeSteps:
-    """Steps of one run, with those done ahead.
+    """Steps of one run, including those computed ahead.
 
     Args:
         plan: the run.
@@ -54,7 +54,7 @@ class WholeSteps:
         return done
 
     def steps(self, k: int, state: FilterState, model: StepModel) -> tuple[FilterState, StepRecord] | None:
-        """Return the state after step k and those behind it that are whole, and the record.
+        """Return the state after step k and the whole steps that follow it, and the record.
 
         Returns:
             None if step k is unsupported by the library, or some result is invalid.

@@ -1,10 +1,10 @@
 """Ownership of trials, and liveness of their processes.
 
 A trial records the process that requested it (`asked_by`) and, once its job has started, the process of the
-job (`run_by`), each as host, process id and start time. On the same host the process table answers at once,
-and a reused process id is recognised by its start time. For other hosts, and on Windows, a lease is used: the
-owner writes the time (`lease`) every `RENEW` seconds, and a lease older than `EXPIRY` means that it has died.
-Clocks of machines must therefore agree to within a minute.
+job (`run_by`), each as host, process id and start time. On the same host the process table answers
+immediately, and a reused process id is recognised by its start time. For other hosts, and on Windows, a lease
+is used: the owner writes the time (`lease`) every `RENEW` seconds, and a lease older than `EXPIRY` means that
+it has died. Clocks of machines must therefore agree to within a minute.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """The launcher of `hydra/launcher=ahnn_ray`: each job in a process of its own, started by a task of Ray.
 
-A job whose worker is killed dies with it. A job of a search is then a failed trial, which the search repeats;
-any other begins again in another worker, from its last checkpoint, in the same folder. All machines see it.
+If the worker of a job is killed, the job ends with it. A job of a search is then a failed trial, which the
+search repeats; any other begins again in another worker, from its last checkpoint, in the same folder, which
+all machines can access.
 
 Hydra executes this module outside `sys.modules`: do not combine postponed annotations with dataclasses.
 """
@@ -24,7 +25,7 @@ class RayLauncher(ProcessLauncher):
     """Run every job as a task of Ray.
 
     Args:
-        n_jobs: number of jobs given to Ray at once, and run at once where Ray has the processors.
+        n_jobs: number of jobs given to Ray together; they run in parallel if Ray has enough processors.
         cpus: number of processors of a job.
         gpus: number of GPUs of a job, or a fraction of one.
         retries: how often a job outside a search begins again if its worker is killed.

@@ -41,7 +41,7 @@ class AhnnOptunaSweeper(Sweeper):
             `grpc://HOST:PORT`, a proxy of Optuna; null for a journal file in the sweep folder.
         direction: `minimize` or `maximize` the value that the job returns.
         n_trials: final number of trials of the study, over all starts and machines.
-        batch_size: number of trials passed to the launcher at once.
+        batch_size: number of trials passed to the launcher together.
         sampler: configuration of an Optuna sampler. A seed in it is combined with the number of each trial,
             so that continued studies and parallel workers draw different parameters.
         params: search space, key to sweep in Hydra's grammar; see `_space`.
