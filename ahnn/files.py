@@ -87,7 +87,7 @@ def _unfinished(path: Path, mark: str) -> tuple[Path, BinaryIO]:
     while True:
         temporary = path.with_name(f".{path.name}.{(mark + uuid4().hex)[:32]}.tmp")
         file = temporary.open("xb")
-        with contextlib.suppress(OSError):  # no cleanup on a file system without locks
+        with contextlib.suppress(OSError):  # without locks there is no clean-up
             lock(file)
         if temporary.exists():
             return temporary, file
@@ -102,7 +102,7 @@ def _remove_unfinished(folder: Path, known: dict[str, set[str]] | None) -> None:
             continue
         if known is not None and found[2][:MARK] not in {each[:MARK] for each in known.get(found[1], ())}:
             continue
-        with contextlib.suppress(OSError), path.open("r+b") as file:  # it is gone, or its writer is alive
+        with contextlib.suppress(OSError), path.open("r+b") as file:  # gone, or its writer is alive
             lock(file, wait=False)
             path.unlink()  # not possible on Windows, where the file stays
 

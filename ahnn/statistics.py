@@ -135,7 +135,7 @@ def increments_of(trajectories: Trajectories) -> Tensor:
 def sampling_interval(trajectories: Trajectories) -> TimeStep:
     """Return the common step between neighbouring samples, or all steps, (B, T - 1), where they differ."""
     times, count = trajectories.times, len(trajectories.times)
-    if times.stride(0) == 0:  # one row for all
+    if times.stride(0) == 0:  # all trajectories share the times
         times = times[:1]
     steps = times.diff(dim=1)
     known = steps[steps.isfinite()]

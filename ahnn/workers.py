@@ -82,14 +82,14 @@ def connected(cpus: int, **options: Any) -> Any:
     try:
         try:
             ray.init(**{"num_cpus": cpus, "include_dashboard": False, **given})
-        except ValueError:  # there is a cluster, with processors of its own
+        except ValueError:  # a cluster exists and has its own number of processors
             ray.init(**given)
     except ConnectionError as error:
         said = " ".join(str(error).split())
         message = f"workers: expected the Ray cluster of RAY_ADDRESS or of ray start; received: {said}"
         raise UserError(message) from error
     if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, handler)  # Ray replaces it, and ends without a word
+        signal.signal(signal.SIGTERM, handler)  # Ray replaced it by one without a message
     return ray
 
 
@@ -126,7 +126,7 @@ def _on_processes(function: Callable[[Item], Result], items: Sequence[Item], cou
             try:
                 found |= {k: task.result() for k, task in tasks.items()}
                 return [found[k] for k in range(len(items))]
-            except BrokenProcessPool:  # one was killed, and the pool ended the others
+            except BrokenProcessPool:  # a worker was killed, and the pool ended all others
                 ended = {k: task for k, task in tasks.items() if task.done() and not task.exception()}
                 found |= {k: task.result() for k, task in ended.items()}
             except BaseException:

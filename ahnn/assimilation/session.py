@@ -112,7 +112,7 @@ class Session(StreamSession):
         """Return the readings of numbered lines, without headers or lines to which the start was fitted."""
         if self.layout is None:
             return deque()
-        if self.layout.names:  # headers are repeated where tables are concatenated
+        if self.layout.names:  # concatenated tables repeat their headers
             there = [(number, text) for number, text in there if text != self.header]
         fitted = sum(number <= self.fitted for number, _ in there)
         self.counts.update({"fitted": fitted} if fitted else {})

@@ -204,7 +204,7 @@ def compose(loader: ConfigLoaderImpl, name: str, overrides: list[str]) -> DictCo
         message = f"configuration: {first_line(error)}"
         if key := getattr(error.__cause__, "full_key", None):
             asked = [str(override.key_or_group) for override in map(parse, overrides)]
-            key = next((one for one in asked if one.startswith(f"{key}.")), key)  # the beginning is missing
+            key = next((one for one in asked if one.startswith(f"{key}.")), key)  # the key up to the error
             hint = nearest_key(key, {*plain, *flatten(plain), *loader.list_groups("")})
             message = f"configuration: unknown key {key!r}{hint}"
         raise UserError(message) from error

@@ -28,7 +28,7 @@ from ahnn.paths import conf_dir
 
 def run_hydra(task: Callable[[DictConfig], Any], config_name: str = "train") -> None:
     """Run a task under Hydra; user errors give one message and an exit code, not a traceback."""
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # makes Hydra raise, for our own messages
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises, so that we show the message
     # Hydra does not accept null for a group. For a group that is empty by default it is equivalent to no
     # override.
     given = [argument for argument in sys.argv if argument not in ("experiment=null", "sweep=null")]
@@ -47,7 +47,7 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
     own = named_folder(args.overrides)
     is_new = own is None or not own.exists()
     above = [path for path in (own or Path("runs", "day")).absolute().parents if not path.exists()]
-    if not is_new:  # may be a foreign folder: Hydra must not write there before our check
+    if not is_new:  # may belong to others: Hydra must not write to it before our check
         sys.argv.append("hydra.output_subdir=null")
 
     @functools.wraps(task)
@@ -59,7 +59,7 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
         if code := guard(lambda: task(cfg)):
             if is_new:
                 forget(folder := Path(HydraConfig.get().runtime.output_dir))
-                for path in above if own is not None else (folder.parent, *above):  # the folder named by date
+                for path in above if own is not None else (folder.parent, *above):  # the folder with the date
                     with contextlib.suppress(OSError):
                         path.rmdir()
             leave(code)  # bypasses Hydra, which would report an error

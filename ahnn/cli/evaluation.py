@@ -26,7 +26,7 @@ def read_evaluation(arguments: list[str], usage: str) -> Reevaluation:
     sensor = build_sensor(cfg, source)
     unread = (*unread_of_data(cfg, source, sensor), *unread_of_plugins(cfg.plugins))
     refuse(unread, request.overrides)
-    splits = SplitData(source, list(cfg.data.split), sensor)  # windows are not needed
+    splits = SplitData(source, list(cfg.data.split), sensor)  # no windows are needed
     return Reevaluation(
         run=run,
         ckpt=request.ckpt,

@@ -85,7 +85,7 @@ def filter_of(overrides: list[str], gate: AskedGate) -> tuple[RecursiveEstimator
         message = f"plugins: expected one that filters online, such as {DEFAULT}; received {received}"
         raise UserError(message)
     noise = filters[0].process_noise
-    if noise == "fitted":  # the default; known forces leave nothing to fit
+    if noise == "fitted":  # the default; with known forces there is nothing to fit
         noise = (0.0, 0.0)
     if not isinstance(noise, tuple | list):
         message = (

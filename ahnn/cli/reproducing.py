@@ -28,7 +28,7 @@ def reproduce(arguments: list[str], usage: str) -> None:
     Raises:
         UserError: an invalid command, or a folder with another reproduction.
     """
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # makes Hydra raise, for our own messages
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises, so that we show the message
     made = plan(arguments, usage)
     require_same_settings(made)
     with importing():

@@ -50,7 +50,7 @@ class Training:
     max_epochs: Count
     accumulate_grad_batches: Count = 1
     check_val_every_n_epoch: Count = 1
-    fast_dev_run: Literal[False] = False  # no weights to evaluate would be kept
+    fast_dev_run: Literal[False] = False  # True would keep no weights to evaluate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +76,7 @@ def check_settings(cfg: DictConfig) -> None:
     """
     schemas = {"": CommonSettings, "data": Splits, "evaluation": Evaluation, "trainer": Training}
     own = [name for name, key in signature(CommonSettings).parameters.items() if key.default is key.empty]
-    if missing := [name for name in (*own, *schemas) if name and name not in cfg]:  # others refer to these
+    if missing := [name for name in (*own, *schemas) if name and name not in cfg]:  # others need these
         message = f"configuration: expected key {missing[0]!r}; received none"
         raise UserError(message)
     values = plain_config(cfg)

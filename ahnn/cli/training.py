@@ -37,7 +37,7 @@ def train(cfg: DictConfig) -> float:
     from ahnn.cli.parts import is_multirun
     from ahnn.jobs.closing import require_converged  # imported late, like the code of the training
 
-    if not is_multirun():  # in a sweep each job has its scores, and a search uses the losses
+    if not is_multirun():  # in a sweep the table shows each job, and a search uses the losses
         require_converged([Path(part.folder) for part in parts])
     return sum(losses) / len(losses)
 

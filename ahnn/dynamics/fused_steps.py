@@ -132,7 +132,7 @@ class _Step(Function):
         x, *tensors = ctx.saved_tensors
         scheme, v = ctx.scheme, cotangents[0]
         plain = native.applies(scheme, v, (*tensors, x)) if ctx.native else torch._C._has_storage(v)
-        if torch.is_grad_enabled() or not plain:  # double backward, or one of several vectorised passes
+        if torch.is_grad_enabled() or not plain:  # second derivatives, or a vectorised pass
             with torch.enable_grad():
                 return None, *_differentiable(ctx, v, (x, *tensors))
         if ctx.native:
@@ -155,7 +155,7 @@ class _Step(Function):
 
 def _differentiable(ctx: Any, v: Tensor, inputs: tuple[Tensor, ...]) -> list[Tensor | None]:
     """Return v . d(increment)/d(inputs), with a graph; None for inputs that require no gradient."""
-    inputs = tuple(t.view_as(t) for t in inputs)  # inputs may depend on one another, which is ignored here
+    inputs = tuple(t.view_as(t) for t in inputs)  # treats the inputs as independent
     asked = [t for t, needed in zip(inputs, ctx.needs_input_grad[1:], strict=True) if needed]
     increment = plain_step(inputs[0], layers_of(inputs[1:]), ctx.scheme)
     found = iter(torch.autograd.grad(increment, asked, v, create_graph=True, allow_unused=True))

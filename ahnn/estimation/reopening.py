@@ -54,7 +54,7 @@ def reopened(
         The states, the innovations for the wider beliefs, and members that accepted their row, (B,) bool; all
         other members are meaningless.
     """
-    # Rows still too far away are rejected, since some filters fail on them.
+    # Rows that are still too far away are rejected, since some filters would fail on them.
     wary, factor = estimator.gated(Gate(0.999999)), torch.ones_like(before.log_likelihood)
     for tried in count(1):
         after, told = wary.update(widened(estimator, before, spread, factor), y, model, noise)

@@ -98,7 +98,7 @@ def banded(case: Case, uncertainty: Uncertainty, prediction: Tensor) -> Band:
 
     test = direction_test(tested())
     deviations, alone = (torch.cat(some).sqrt() for some in zip(*parts, strict=True))
-    alone = alone / uncertainty.inflation**0.5  # the last column is the offset; both are inflated
+    alone = alone / uncertainty.inflation**0.5  # both contain the inflation; `alone` lacks the offset
     bound = norms(alone.where(there, torch.nan), case.space.divisor)
     real = norms(off, case.space.divisor)
     later, band = off[:, 1:].abs(), deviations[:, 1:]

@@ -25,10 +25,10 @@ def fit(prepared: Prepared) -> float:
     trainer = prepared.trainer
     calibrate(prepared)
     if prepared.model.dynamics.begins_known and prepared.checkpoint is None:
-        trainer.num_sanity_val_steps = math.inf  # known physics is the first candidate for the best weights
+        trainer.num_sanity_val_steps = math.inf  # the initial known physics may remain the best
     if trainer.is_global_zero:
         announce(prepared)
-        # Steps without any effect have been rejected before.
+        # Keys without any effect have been rejected before.
         write_atomically(prepared.folder / "config.yaml", prepared.config)
     started = time.monotonic()
     trainer.fit(prepared.model, prepared.data, ckpt_path=prepared.checkpoint)

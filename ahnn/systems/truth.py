@@ -53,7 +53,7 @@ def varied_flow(system: System, constants: Mapping[str, Tensor]) -> Flow:
     """
     varied = copy.copy(system)
     for name, values in constants.items():
-        object.__setattr__(varied, name, values)  # frozen, and its checks expect single numbers
+        object.__setattr__(varied, name, values)  # frozen, with checks for single numbers
     vars(varied).pop("forces", None)  # computed from the previous constants
     return SubstepsFlow(varied, accurate_substeps(system))
 
@@ -101,7 +101,7 @@ def _trial_error(system: System, count: int) -> float:
         float(difference.norm(dim=-1).max() / extent.norm(dim=-1).max()) for difference, extent in blocks
     ]
     worst = max(errors) * whole / steps
-    return worst if math.isfinite(worst) else 0.0  # the divergence is reported on generation
+    return worst if math.isfinite(worst) else 0.0  # generation reports the divergence
 
 
 class SubstepsFlow(NamedTuple):

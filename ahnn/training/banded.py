@@ -65,7 +65,7 @@ def _blocks(bands: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
     count, size = bands[0].shape[1], bands[0].shape[-1]
     many = max(len(bands) - 1, -(-ROWS // size))  # number of sums per block, at least the bandwidth
     number = -(-count // many)
-    # (B, N, row, column, D, D), with columns of the previous and the own block
+    # (B, N, row, column, D, D); the columns are those of the previous block and of this one
     store = bands[0].new_zeros(len(bands[0]), number, many, 2 * many, size, size)
     for distance, band in enumerate(bands):
         column = torch.arange(count - distance)

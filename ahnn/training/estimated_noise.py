@@ -51,7 +51,7 @@ def conclude_with_noise(
     begin = noise = FoundNoise(torch.ones_like(stated), None)
     found: Uncertainty | None = None
     instrument = train.instrument._replace(bias_sd=unknown.bias_sd)
-    if unknown.tails:  # a first fit that outliers do not spoil
+    if unknown.tails:  # the first fit must be robust to outliers
         instrument = instrument._replace(freedom=torch.full_like(stated, FREEDOM))
     for done in range(ROUNDS):
         train, held_out = (part._replace(instrument=instrument) for part in (train, held_out))
@@ -72,7 +72,7 @@ def conclude_with_noise(
         instrument = instrument._replace(
             deviations=stated * noise.scales, colour=noise.colour, freedom=noise.freedom
         )
-        if alike(before, noise) and (done or not unknown.tails):  # the first tails were supposed
+        if alike(before, noise) and (done or not unknown.tails):  # the first tails were only assumed
             break
     return found, None if found is None else written(found, noise, stated, unknown)
 

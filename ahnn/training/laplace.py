@@ -68,7 +68,7 @@ def conclude(
     found = _concluded(dynamics, train, held_out, steps, robust)
     if found is None:
         return None
-    learned, _ = found.taken(dynamics)  # the step in function space may have fitted them
+    learned, _ = found.taken(dynamics)  # this step may be needed to fit them
     return replace(found, directions=least_told(dynamics, found.spread, train, robust, learned))
 
 

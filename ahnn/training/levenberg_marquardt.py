@@ -78,7 +78,7 @@ class LevenbergMarquardt(Optimizer):
         group = self.param_groups[0]
         theta = parameters_to_vector(group["params"]).detach()
         loss, degrees, blocks = problem.equations(theta, [p.numel() for p in group["params"]])
-        if not blocks:  # no residual depends on the parameters; another batch may differ
+        if not blocks:  # no residual of this batch depends on the parameters
             return loss / degrees
         if (units := units_of(group["params"])) is not None:
             blocks = [block._replace(units=units[block.columns]) for block in blocks]

@@ -65,7 +65,7 @@ class Shooting:
 
     intervals: int | None
     robust: RobustName = "none"
-    bends: ClassVar[bool] = True  # its problems provide second derivatives of residuals
+    bends: ClassVar[bool] = True  # problems provide second derivatives of residuals
 
     def residuals(self, dynamics: Dynamics, batch: Segment) -> Tensor:
         """Return the weighted residuals of the segments that converged, shape (B, K + 1, M), with a graph.
@@ -150,7 +150,7 @@ class ShootingProblem:
         self.steps, self.batch, self.starts = steps.rows(kept), batch.rows(kept), self.fitted.starts[kept]
         self.limit = Limit.of(self.fitted.sums[kept], freedom(self.batch))
         self.lost, self.count = int((~kept).sum()), int(freedom(self.batch).sum())
-        self._refitted: tuple[Tensor, Fitted] | None = None  # cache for the last parameters
+        self._refitted: tuple[Tensor, Fitted] | None = None  # cached for the last parameters
         self._linear: tuple[Tensor, Fitted, Linearised] | None = None
 
     def fit(

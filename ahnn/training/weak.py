@@ -61,7 +61,7 @@ class Weak:
     robust: RobustName = "none"
     relative: bool = False
     intervals: ClassVar[None] = None  # full trajectories
-    bends: ClassVar[bool] = True  # its problems provide second derivatives of residuals
+    bends: ClassVar[bool] = True  # problems provide second derivatives of residuals
 
     def residuals(self, dynamics: Dynamics, batch: Segment) -> Tensor:
         """Return the weighted residuals, shape (B, J, D), with a graph."""
@@ -205,7 +205,7 @@ class WeakProblem:
         plain = self.integrals(field, part)
         weight = self.robust.weight(plain).sqrt()
         tests, x = self.tests.rows(part), self.values[part]
-        forcing = self.motion.rows(theta, x)  # (B, K + 1, L, P): for the last L components
+        forcing = self.motion.rows(theta, x)  # (B, K + 1, L, P) of the last L components
         still, moved = x.shape[-1] - forcing.shape[2], forcing.shape[2]
         sums = integrated(tests.on_field, tests.stride, forcing.flatten(2)).unflatten(-1, forcing.shape[2:])
         sums.mul_(

@@ -110,7 +110,7 @@ def outliers(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
         typical, size = np.nanmedian(off, axis=0), np.nanmax(np.abs(track.values), axis=0)
     (near_of_6, _), (near_of_4, _) = fewer
     doubt = np.abs(near - near_of_6) + 0.1 * np.abs(near_of_6 - near_of_4) + typical
-    # a sample that is off pulls the curves at its two neighbours by its weight in them; a jump does more
+    # an outlier displaces the curves at its two neighbours by its weight in them; a jump displaces them more
     pulled = (
         np.roll(left + pull[:, [k]] * np.roll(left, by, axis=0), -by, axis=0) for k, by in ((4, -1), (3, 1))
     )
@@ -134,7 +134,7 @@ def runs_of_outliers(content: Content, names: tuple[str, ...]) -> Iterator[Findi
             off = np.abs(track.values[there, c] - middle) / spread
             steps = np.abs(np.diff(track.values[there, c])) / spread
             for first, last in runs(off > NEAR):
-                edges = [k for k in (first - 1, last) if 0 <= k < len(steps)]  # steps into and out of the run
+                edges = [k for k in (first - 1, last) if 0 <= k < len(steps)]  # steps at both ends of the run
                 wide = last > first and off[first : last + 1].max() > WIDE
                 if wide and edges and steps[edges].min() > FAR * np.median(steps):
                     rows = track.rows[there[[first, last]]]

@@ -78,7 +78,7 @@ def compared(track: Track, n: int, scale: Array) -> VelocityComparison | None:
         return None
     stated = scale * track.values[:, n:]
     doubts = found.doubts + roughness(track.times, stated, found.at)
-    known = np.isfinite(doubts).all(1)  # they contain all samples of the derivatives
+    known = np.isfinite(doubts).all(1)  # where all samples of a derivative are present
     return VelocityComparison(stated[found.at][known], found.values[known], doubts[known])
 
 

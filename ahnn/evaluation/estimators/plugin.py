@@ -104,7 +104,7 @@ class EstimatorEvaluation:
     ) -> None:
         require_measurement(measurement)
         self.beside, self.seed, self.least_squares = beside, seed, least_squares
-        self.patience = patience  # also for the gate of a stream
+        self.patience = patience  # also used by the gate of a stream
         self.estimator = estimator.gated(None if gate is None else Gate(gate, patience))
         self.smoothers = asked_smoothers(smoother, self.estimator)
         self.process_noise: NoiseOption = noise_option(process_noise)

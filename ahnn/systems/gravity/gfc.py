@@ -87,7 +87,7 @@ def header(lines: list[CoefficientLine], file: CoefficientLine) -> dict[str, Coe
     starts = [k for k, line in enumerate(lines) if line.word(0) == "begin_of_head"]
     head: dict[str, CoefficientLine] = {}
     for line in lines[starts[0] + 1 if starts else 0 :]:
-        name = MU if line.word(0) == "gravity_constant" else line.word(0)  # fields of other bodies
+        name = MU if line.word(0) == "gravity_constant" else line.word(0)  # in fields of other bodies
         if name not in (MU, RADIUS, DEGREE, "modelname", *KNOWN):
             continue
         if len(line.words) < 2 or name in head:
@@ -144,7 +144,7 @@ def assembled(
 
 def require_body(mu: float, radius: float, head: Mapping[str, CoefficientLine]) -> None:
     """Raise UserError for an impossible mass and radius, for example with numbers in km."""
-    with np.errstate(over="ignore"):  # values of no real body
+    with np.errstate(over="ignore"):  # absurd values must not warn
         density = np.float64(mu) / (4 / 3 * pi * NEWTON * np.float64(radius) ** 3)
     low, high = DENSITIES
     if not low <= density <= (STONES if radius < SMALL else high):

@@ -47,7 +47,7 @@ class TdmSegment:
         known = (*USED_DATA, *WEATHER, *UNUSED_DATA)
         if key not in known:
             guess = nearest(key, known)
-            guess = guess if "mean" in guess else ""  # instead of the complete list
+            guess = guess if "mean" in guess else ""  # no complete list of keywords
             place.refuse("a keyword of the data of a TDM", f"{key!r}{guess}")
         self.records.append((place.row, key, epoch, value))
 

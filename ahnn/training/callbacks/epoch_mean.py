@@ -42,7 +42,7 @@ class EpochMean(Callback):
         if trainer.is_last_batch:
             parts = (self.total / self.steps).split([p.numel() for p in parameters])
             for parameter, part in zip(parameters, parts, strict=True):
-                parameter.copy_(part.view_as(parameter))  # in place: recorded steps keep the addresses
+                parameter.copy_(part.view_as(parameter))  # in place: recorded steps use fixed addresses
             self.steps, self.total = 0, torch.zeros(())
 
     def state_dict(self) -> dict[str, Any]:

@@ -78,10 +78,10 @@ def shifted_exponential(losses: Sequence[float], target_epoch: int) -> Forecast:
     if not 0 < ratio < 1:
         return _finite(smooth[k] - 0.5 * second / (k - j) * (target_epoch - k))
     rate = -math.log(ratio) / (j - i)
-    amplitude = first / -math.expm1(-rate * (j - i))  # fraction of the decrease that follows point i
+    amplitude = first / -math.expm1(-rate * (j - i))  # size of the exponential part at point i
     try:
         change = math.exp(-rate * (j - i)) * math.expm1(-rate * (target_epoch - j))
-    except OverflowError:  # target before the points of a steep curve
+    except OverflowError:  # a steep curve extrapolated back before its points
         return None
     return _finite(smooth[j] + amplitude * change)
 

@@ -105,7 +105,7 @@ def mean_and_spread(sample: Sample, scale: float = 1.0) -> str:
     if lost:
         return f"lost in {lost} of {len(sample.values)}" if len(sample.values) > 1 else "lost"
     mean = shown(sample.mean / scale)
-    least = -3 if "×" in mean else -7  # both in the same notation
+    least = -3 if "×" in mean else -7  # the same notation for both
     return mean if sample.spread is None else f"{mean} ± {shown(sample.spread / scale, 2, least)}"
 
 

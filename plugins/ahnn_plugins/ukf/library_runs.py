@@ -57,7 +57,7 @@ class CalledFlow:
 
     def __call__(self, about: int, count: int, x: int, dt: float, out: int) -> int:
         """Write the points after a step dt; return 0, or 1 if there are none."""
-        del about, count, x, out  # those of the tensors
+        del about, count, x, out  # the same memory as the tensors
         try:
             flow = at(self.flow, next(self.starts)) if self.timed else self.flow
             found = propagate(flow, self.points.clone(), dt)
@@ -136,7 +136,7 @@ def done_steps(state: FilterState, weights: SigmaWeights, steps: RunSteps) -> Do
     moved, results = torch.empty_like(points), members.results(len(steps.measured), half.numel(), points)
     known = getattr(steps.flow, "as_compiled", None)
     compiled: CompiledFlow | None = None
-    if known is not None and points.shape[0] * points.shape[1] <= PART:  # more states use several cores
+    if known is not None and points.shape[0] * points.shape[1] <= PART:  # larger batches use several cores
         compiled = known()
     called = None
     if compiled is None:

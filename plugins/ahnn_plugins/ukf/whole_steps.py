@@ -40,7 +40,7 @@ class WholeSteps:
         self.plan, self.kernel, self.smoothing = plan, kernel, smoothing
         self.rows = plan.rows.transpose(0, 1)
         self.ahead = min(MOST, max(FIRST, ROWS // len(plan.rows)))
-        self.points: Tensor | None = None  # after the flow of a step that is not whole
+        self.points: Tensor | None = None  # points after the flow of an incomplete step
 
     def __call__(
         self, k: int, state: FilterState, row: Tensor | None, model: StepModel, length: float, time: Tensor

@@ -55,7 +55,7 @@ def best_yaml(overrides: list[str], config_loader: ConfigLoader, groups: set[str
             continue
         if key not in groups:
             OmegaConf.update(values, key, value, force_add=True)
-        elif key == "experiment":  # replaced by this file
+        elif key == "experiment":  # this file takes its place
             added.append(value)
         elif override.is_add():
             added.append({f"/{key}": value})

@@ -75,9 +75,9 @@ def _run(program: str, arguments: list[str], log: str, bound: bool) -> None:
             runpy.run_path(program, run_name="__main__")
         else:
             runpy.run_module(program, run_name="__main__", alter_sys=True)
-    except Exception as error:  # printed as Python prints it; `multiprocessing` would name its own process
+    except Exception as error:  # in Python's own format; `multiprocessing` would add its process name
         sys.stdout.flush()
         sys.excepthook(type(error), error, error.__traceback__)
         sys.exit(1)
     finally:
-        atexit._run_exitfuncs()  # `multiprocessing` does so since Python 3.14
+        atexit._run_exitfuncs()  # `multiprocessing` does this only since Python 3.14

@@ -83,7 +83,7 @@ class Lease:
             for trial_id in self._trial_ids:
                 try:
                     self._storage.set_trial_user_attr(trial_id, "lease", time.time())
-                except Exception as error:  # a finished trial, or a temporarily unreachable database
+                except Exception as error:  # finished trial, or unreachable database
                     logger.debug("lease of trial id %s not renewed: %s", trial_id, error)
 
 

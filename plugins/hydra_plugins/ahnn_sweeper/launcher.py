@@ -64,7 +64,7 @@ class ProcessLauncher(Launcher):
         self._ended = False
         try:
             returns = list(pool.map(self._run, numbers, job_overrides, folders))
-        finally:  # an interrupt of the sweep terminates its jobs
+        finally:  # also if the sweep is interrupted
             self._ended = True
             pool.shutdown(wait=False, cancel_futures=True)
             self._stop()
@@ -103,7 +103,7 @@ class ProcessLauncher(Launcher):
             )
             reason = f"job #{number} {how} after {time.monotonic() - begin:.1f} s; its output is in {log}"
             job.status, job._return_value = JobStatus.FAILED, RuntimeError(reason)
-            if not self._ended:  # otherwise it ends with the sweep, which reports the reason
+            if not self._ended:  # an interrupted sweep reports the reason itself
                 tail = log.read_text(errors="replace").splitlines()[-_TAIL:]
                 logger.error("%s\n%s", reason, "\n".join(f"    {line}" for line in tail))
         return job
@@ -117,7 +117,7 @@ class ProcessLauncher(Launcher):
         """Run a command to its end and return its exit code, or the negative number of its signal."""
         process = _forked.start(program(), arguments, log)
         self._running.add(process)
-        if self._ended:  # by an interrupt during process start
+        if self._ended:  # the sweep was interrupted during the start
             process.terminate()
         code = _forked.exit_code(process)
         self._running.discard(process)

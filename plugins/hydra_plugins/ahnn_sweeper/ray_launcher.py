@@ -74,12 +74,12 @@ class RayLauncher(ProcessLauncher):
 def _job(folder: str, imports: Sequence[str], name: str, arguments: list[str], log: str) -> int:
     """Run a command in the folder of the sweep, in a process bound to this worker; return its exit code."""
     os.chdir(folder)
-    if Path(log).parent.joinpath("checkpoints", "last.ckpt").exists():  # of a worker that was killed
+    if Path(log).parent.joinpath("checkpoints", "last.ckpt").exists():  # left by a killed worker
         arguments = [*arguments, "ckpt=last"]
     _forked.serve(imports)
     process = _forked.start(name, arguments, Path(log), bound=True)
     try:
         return _forked.exit_code(process)
-    except KeyboardInterrupt:  # the sweep was stopped: the training writes its checkpoint
+    except KeyboardInterrupt:  # sweep stopped: let the training write its checkpoint
         process.terminate()
         return _forked.exit_code(process)

@@ -150,10 +150,10 @@ class AhnnOptunaSweeper(Sweeper):
         before = HydraConfig.instance().cfg
         with open_dict(job):
             job.hydra.job.id, job.hydra.job.num = "0", 0
-            job.hydra.mode = RunMode.RUN  # multiple devices are detected without it
+            job.hydra.mode = RunMode.RUN  # multi-device jobs are detected in single runs
             job.hydra.runtime.output_dir = str(Path(str(self.config.hydra.sweep.dir)).absolute() / "0")
             HydraConfig.instance().set_config(job)
-        task = copy.deepcopy(job)  # references to `hydra:` keep their root
+        task = copy.deepcopy(job)  # a copy still resolves references to `hydra:`
         with open_dict(task):
             del task["hydra"]
         try:
@@ -213,7 +213,7 @@ class AhnnOptunaSweeper(Sweeper):
         with Lease(study._storage, [trial._trial_id for trial in batch]):
             try:
                 self.launcher.launch(jobs, initial_job_idx=batch[0].number)
-            except Exception as error:  # joblib kills the other workers when one is killed, and raises
+            except Exception as error:  # joblib raises if a worker is killed
                 if not _ledger.any_started(study, [trial.number for trial in batch]):
                     raise
                 all_ended = False
