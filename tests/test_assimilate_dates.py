@@ -75,7 +75,7 @@ def test_a_stream_turns_stations_with_the_earth(caplog, capsys):
     Path("seen.csv").write_text("\n".join(text) + "\n")  # of which one line is wrong
     command[-1] = "output=bad.csv"
     assert call("ahnn.assimilate", *command) == 0
-    assert "line 5: elevation: expected at most pi/2 rad; received 40. Degrees?" in caplog.text
+    assert "line 5: elevation: expected at most pi/2 rad; received 40. If the values are" in caplog.text
     Path("seen.csv").write_text("\n".join([text[0], text[4]]) + "\n")
     command[-1] = "output=degrees.csv"
     assert call("ahnn.assimilate", *command) == 2

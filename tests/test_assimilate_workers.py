@@ -105,8 +105,8 @@ def test_more_workers_than_objects_and_one_start_for_all():
 
 MISTAKES = {
     "workers=0": "workers: expected a number, such as 2, or ray:2; received 0",
-    "output=-": "output: expected a FILE .csv or .jsonl with workers=2; received -",
-    "output=all.parquet": "output: expected a FILE .csv or .jsonl with workers=2; received all.parquet",
+    "output=-": "output: expected a .csv or .jsonl FILE with workers=2; received -",
+    "output=all.parquet": "output: expected a .csv or .jsonl FILE with workers=2; received all.parquet",
     "state=null": "state: expected a FOLDER for the states of the workers with workers=2; received none",
     "state=starts.csv": "state: expected a folder with workers=2; received starts.csv, a file",
     "measurements=-": "measurements: expected a FILE that every worker reads with workers=2; received -",

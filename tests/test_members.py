@@ -155,7 +155,7 @@ def test_an_optimiser_that_couples_weights_is_refused(tmp_path):
     models = [ready_model("hnn", data, seed) for seed in (1, 2)]
     for model in models:
         model.train_by(Optimisation(torch.optim.LBFGS, None), {})
-    with pytest.raises(ahnn.UserError, match=r"treats each weight alone.*received LBFGS"):
+    with pytest.raises(ahnn.UserError, match=r"treats each weight separately.*received LBFGS"):
         EnsembleModel(models)
 
 

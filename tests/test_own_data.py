@@ -171,7 +171,7 @@ HUBER = ("loss.robust=huber", "recipe=measurements", "hamiltonian=mechanical")
         (["data.noise=0.01", "data.measured=state", "recipe=measurements"], "received only positions"),
         (
             ["data.noise=0.01", "data.every=3", "recipe=measurements"],
-            "nothing is added; received data.every=3",
+            "nothing is added to recorded measurements; received data.every=3",
         ),
         (["data.noise=0.01", "sensor=tracking"], "received data.every=5"),
         (

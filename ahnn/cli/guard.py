@@ -71,10 +71,10 @@ def guard(entry: Callable[[], Any]) -> int:
             return report(configured(error))
         if isinstance(error, MemoryError) or NO_MEMORY.search(str(error)):
             said = " ".join(str(error).split()) or "the system denied a request"
-            return report(f"memory: expected a job that fits; received: {said}. Reduce its size")
+            return report(f"memory: expected a job that fits; received: {said}. Reduce the job")
         if in_library(error):
             said = " ".join(f"{type(error).__name__}: {error}".split())
-            return report(f"environment: a library cannot be imported: {said}. Check its variables")
+            return report(f"environment: a library cannot be imported: {said}. Check the variables")
         if not isinstance(error, OSError):
             raise
         if isinstance(error, BrokenPipeError):

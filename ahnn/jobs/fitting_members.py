@@ -74,7 +74,7 @@ def announce(prepared: PreparedEnsemble) -> None:
     if remark := first.data.remark():
         log.warning(remark)
     steps = len(first.data.train_dataloader()) * int(trainer.max_epochs or 1)
-    what = "training %d members of %s on %s at once: %s steps of %d windows each in %d epochs"
+    what = "training %d members of %s on %s together: %s steps of %d windows each in %d epochs"
     space, size = first.data.source.space.name, first.data.batch_size
     log.info(
         what, len(prepared.members), first.label, space, f"{steps:,}", size, int(trainer.max_epochs or 1)

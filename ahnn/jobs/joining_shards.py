@@ -23,7 +23,7 @@ from ahnn.manifest import require_own
 def require_divisible(options: AssimilationRequest) -> None:
     """Raise UserError for a stream that cannot be divided among workers."""
     expected = {
-        "output": ("a FILE .csv or .jsonl", options.output, Path(options.output).suffix != ".parquet"),
+        "output": ("a .csv or .jsonl FILE", options.output, Path(options.output).suffix != ".parquet"),
         "state": ("a FOLDER for the states of the workers", options.state, options.state is not None),
         "measurements": ("a FILE that every worker reads", options.measurements, True),
         "shard": ("none, since workers have one each", options.shard, options.shard is None),

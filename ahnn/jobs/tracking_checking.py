@@ -97,7 +97,7 @@ def _findings(path: Path, data: TrackingData, series: list[SeriesSurvey]) -> lis
     found = [Finding("note", str(path), 0, "", one, "Nothing") for one in data.remarks]
     for one in series:
         for places, what, remedy in (
-            (one.outliers, "far from its neighbours", "Leave it out if its residuals confirm it"),
+            (one.outliers, "far from its neighbours", "Leave it out if its residual confirms this"),
             (one.impossible, "the range changes faster than a satellite can move", "Check time and range"),
         ):
             for k in np.asarray(places)[:LISTED]:

@@ -120,7 +120,7 @@ class NoiseEstimate:
         scale = f"{self.deviations[k]:.3g} ± {self.scale_sd[k]:.2g} {unit}"
         if not self.freedom[k]:
             return (
-                f"tails of the noise of {name} are not told apart from those of normal noise (more than "
+                f"tails of the noise of {name} cannot be distinguished from those of normal noise (more than "
                 f"{self.freedom_low[k]:.2g} degrees of freedom, with 95 %); its standard deviation is {scale}"
             )
         nu, low, high = (values[k] for values in (self.freedom, self.freedom_low, self.freedom_high))

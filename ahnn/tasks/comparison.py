@@ -42,7 +42,7 @@ def table(name: str, task: FieldTask, scores: Scores) -> str:
             further = [one[other] for one in found]
             lines.append(f"  {'- ' + other:<18}{median(further):>10.2g}{spread(further):>22}")
     if not scores:
-        lines.append("  no training is finished")
+        lines.append("  no training run is finished")
     lines += textwrap.wrap(verdict(task, scores), WIDTH)
     note = f"score: {task.quantity}. Differs: {task.differs}. Source: {task.source}."
     return "\n".join([*lines, *textwrap.wrap(note, WIDTH)])

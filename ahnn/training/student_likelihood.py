@@ -48,8 +48,8 @@ class FoundTails(NamedTuple):
     Attributes:
         scale: s, or the standard deviation where the noise is normal.
         scale_sd: standard deviation of s.
-        freedom: nu; inf where the noise is not told apart from normal noise.
-        low, high: ends of the 95 % interval of nu; where the noise is not told apart from normal noise, the
+        freedom: nu; inf where the noise cannot be distinguished from normal noise.
+        low, high: ends of the 95 % interval of nu; where it cannot be distinguished from normal noise, the
             lower limit, exceeded with 95 %, and inf.
     """
 

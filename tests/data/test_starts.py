@@ -152,4 +152,4 @@ def test_a_start_in_another_frame_is_refused_where_it_cannot_be_turned(tmp_path)
 @pytest.mark.parametrize(("ours", "warned"), [("", True), ("EME2000, EARTH", False)])
 def test_a_model_without_a_frame_is_taken_to_be_in_that_of_the_file(tmp_path, caplog, ours, warned):
     starts(message(tmp_path / "a.oem", [0.0, 60.0, 150.0]), ORBIT, Reference.of(ours))
-    assert ("in EME2000; the model states no frame" in caplog.text) is warned
+    assert ("the frame is EME2000; the model states no frame" in caplog.text) is warned

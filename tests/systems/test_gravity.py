@@ -155,8 +155,8 @@ def test_a_symplectic_composition_refuses_what_it_would_integrate_without_the_ro
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"degree": 9}, "degree: expected 0 to 8 of GGM05C; received 9"),
-        ({"degree": 4, "order": 5, "rotation": 1e-5}, "order: expected 0 to 4 of GGM05C; received 5"),
+        ({"degree": 9}, "degree: expected 0 to 8 for GGM05C; received 9"),
+        ({"degree": 4, "order": 5, "rotation": 1e-5}, "order: expected 0 to 4 for GGM05C; received 5"),
         ({"order": 2}, "rotation: expected the rotation rate of the planet"),
         ({"tide": "mean_tide"}, "tide: expected zero_tide, as in ggm05c; received mean_tide"),
         ({"gravity": "nowhere.gfc"}, "nowhere.gfc: expected a file"),
@@ -216,5 +216,5 @@ def test_degrees_that_double_precision_does_not_hold_are_refused():
     wide = np.zeros((1902, 2))
     field = GravityField("wide", 1.0, 1.0, wide, wide, "unknown")
     assert field.cut(1900, 0).degree == 1900
-    with pytest.raises(UserError, match="degree: expected 0 to 1900 of wide; received 1901"):
+    with pytest.raises(UserError, match="degree: expected 0 to 1900 for wide; received 1901"):
         field.cut(1901, 0)

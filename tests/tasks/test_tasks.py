@@ -138,6 +138,6 @@ def test_a_table_has_median_and_range_beside_what_was_published():
     assert "2e-05        1e-05 to 3e-05      3        2" in text
     assert "published: baseline 0.063, HNN 3.9e-05" in text
     assert "0.51" in text  # of HNN's
-    assert "no training is finished" in comparison.table("two_bodies", task, {})
+    assert "no training run is finished" in comparison.table("two_bodies", task, {})
     for name, other in TASKS.items():
         assert max(map(len, comparison.table(name, other, scores).splitlines())) <= 80

@@ -63,7 +63,7 @@ def test_an_orbit_is_found_and_written(folder, tmp_path, capsys):
         (["start.epoch=yesterday"], "start.epoch: expected an epoch such as"),
         (["start.position=[1,2]"], "start.position: expected three numbers"),
         (["forces.gravity.field=nowhere.gfc"], "nowhere.gfc: expected a file with a gravity field"),
-        (["forces.gravity.degree=40"], "degree: expected 0 to 12 of EIGEN-6S; received 40"),
+        (["forces.gravity.degree=40"], "degree: expected 0 to 12 for EIGEN-6S; received 40"),
         (["forces.drag=heavy"], "forces.drag: expected a mapping of keys to values; received 'heavy'"),
         (["stations.south=[1,2]"], "stations.south: expected [latitude, longitude, height], degrees and m"),
         (["stations.west=[1,2,3]"], "stations.west: expected a station of seen.aer"),

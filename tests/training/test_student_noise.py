@@ -171,7 +171,7 @@ def test_normal_noise_leaves_the_fit_of_squares():
     unknown = UnknownNoise(tails=True)
     assert noise.applied(train.instrument, unknown).freedom is None
     (said,) = noise.sentences(("q",), ("m",))
-    assert "are not told apart from those of normal noise (more than " in said
+    assert "cannot be distinguished from those of normal noise (more than " in said
 
 
 def test_the_last_fit_is_that_of_the_noise_that_was_found():
@@ -201,4 +201,4 @@ def test_an_estimate_keeps_tails_for_the_evaluation():
     assert seen.freedom.tolist() == [3.0, math.inf]
     said = noise.sentences(("q", "p"), ("m", "m/s"))
     assert said[0].endswith("its standard deviation, for filters, is 1.73 m")
-    assert said[1].startswith("tails of the noise of p are not told apart")
+    assert said[1].startswith("tails of the noise of p cannot be distinguished")

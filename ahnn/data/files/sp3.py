@@ -173,7 +173,9 @@ class _Sp3Reader:
         ):
             if count:
                 self.note(Remark(place, f"{what}: {count}"))
-        self.note(Remark(place, f"frame {self.system} taken as ITRF; clocks and accuracies are not used"))
+        self.note(
+            Remark(place, f"frame {self.system} is treated as ITRF; clocks and accuracies are not used")
+        )
         start = min(min(one.moments) for one in self.orbits.values())
         moving = all(None not in one.velocities for one in self.orbits.values())
         if not moving and any(any(v is not None for v in one.velocities) for one in self.orbits.values()):

@@ -169,7 +169,7 @@ def consistency(case: Case, setting: Setting, chosen: Chosen) -> Figure:
     # Several sensors each measure a part.
     panels[1].fill_between(times[there], low[there], high[there], **shown)
     panels[0].set_ylabel(f"mean NEES ({size} if consistent)")
-    panels[1].set_ylabel("NIS per measured number\n(1 if consistent)")
+    panels[1].set_ylabel("NIS per measured value\n(1 if consistent)")
     style.logarithmic(panels[0], setting.first)
     style.logarithmic(panels[1], 0)
     style.legend_below(figure, panels[0])

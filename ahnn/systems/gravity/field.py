@@ -72,7 +72,7 @@ class GravityField:
         highest = min(self.degree, HIGHEST)
         for name, received, most in (("degree", degree, highest), ("order", order, min(degree, self.order))):
             if not 0 <= received <= most:
-                message = f"{name}: expected 0 to {most}, as {self.name} provides; received {received}"
+                message = f"{name}: expected 0 to {most} for {self.name}; received {received}"
                 raise UserError(message)
         parts = (part[: degree + 1, : order + 1].copy() for part in (self.cosines, self.sines))
         return dataclasses.replace(self, **dict(zip(("cosines", "sines"), parts, strict=True)))

@@ -63,7 +63,7 @@ def table_data(text: str, file: str, said: TrackingSidecar, note: Note = refuse)
     if not found:
         Place(file).refuse("a measurement: epoch, kind, station and numbers", "none")
     assumed = ", ".join(f"{kind} in {unit_of(kind, said)[0]}" for kind in sorted(kinds))
-    remarks = () if said.given else (f"no sidecar: taken as {assumed}, epochs of reception in UTC",)
+    remarks = () if said.given else (f"no sidecar: {assumed} and epochs of reception in UTC are assumed",)
     return [gathered(said.object, found, said.event, remarks)]
 
 

@@ -119,7 +119,7 @@ def _of_integration(readings: list[TrackingReading], interval: float) -> str:
     The deviation is the square of the interval times the second derivative of the rate over 24, to the next
     order; the derivative is the largest of the divided differences of three measurements.
     """
-    what = f"means over {interval:g} s taken as the range rates at their midpoints"
+    what = f"means over {interval:g} s are treated as the range rates at their midpoints"
     ranked = sorted((one.moment, one.values["range_rate"]) for one in readings if "range_rate" in one.values)
     times = np.array([(moment - ranked[0][0]) / epochs.SECOND for moment, _ in ranked])
     if len(times) < 3:

@@ -123,7 +123,7 @@ def link_of(segment: TdmSegment, two_way: str) -> TdmLink:
     _judge_integration(link, meta, place)
     _judge_corrections(link, meta, place)
     if any(key.startswith(("RANGE", "DOPPLER")) for _, key, _, _ in segment.records) and ways == 2:
-        link.remarks.append(f"ranges and rates of two-way links taken for {_way(two_way)}")
+        link.remarks.append(f"ranges and rates of two-way links are assumed to be for {_way(two_way)}")
     if meta.get("DATA_QUALITY") == "DEGRADED":
         link.remarks.append("DATA_QUALITY = DEGRADED")
     for key in meta:

@@ -111,7 +111,7 @@ def _system(
     )
     known = tag(
         "details",
-        tag("summary", "What each model takes as known"),
+        tag("summary", "Prior knowledge of each model"),
         tag("ul", [tag("li", t) for t in assumed]),
     )
     parts = [Section(f"system-{number}-tables", "Tables", escaped([grid_html(grid) for grid in grids]))]
@@ -151,4 +151,6 @@ def runs_table(collection: Collection) -> Grid:
         cells = [entry.model, entry.system, str(entry.results.training.get("seed", "–")), *said]
         lines.append(Line(str(entry.folder), tuple(Cell(text, "words") for text in cells)))
     head = ((Head("folder"), *map(Head, names)),)
-    return Grid("runs-table", "Provenance.", "What made the results.", head, tuple(lines))
+    return Grid(
+        "runs-table", "Provenance.", "Versions, commands and machines behind the results.", head, tuple(lines)
+    )

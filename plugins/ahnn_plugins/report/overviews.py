@@ -87,7 +87,7 @@ def ladder_table(board: Board) -> Grid | None:
     names = ("loss", "noise of the data", "models", "runs", "start")
     heads = (
         (
-            Head("What is taken as known"),
+            Head("Prior knowledge"),
             *map(Head, names),
             *(Head(headed(board.entries[0].results.space, q)) for q in QUANTITIES),
         ),

@@ -54,7 +54,7 @@ def _seeds(board: Board) -> Iterator[str]:
         listed = ", ".join(f"{model} {count}" for model, count in counts.items())
         yield f"The models have unequal numbers of runs: {listed}."
     if single := [model for model, count in counts.items() if count == 1 and len(board.entries) > 1]:
-        yield f"Only one run of {', '.join(single)}: no spread, so nothing can be decided about it."
+        yield f"Only one run of {', '.join(single)}: without a spread, nothing can be decided about it."
     for model, entries in board.groups.items():
         twice = [seed for seed, n in Counter(e.seed for e in entries).items() if n > 1 and seed is not None]
         if twice:

@@ -58,7 +58,7 @@ def _training(entry: Entry) -> Markup:
     values = {key: number(training, key) for key in training}
     facts = {
         "model": entry.model,
-        "takes as known": entry.results.assumes or "not said",
+        "prior knowledge": entry.results.assumes or "not said",
         "system": entry.system,
         "state": ", ".join(space.components) + (f" in {space.frame}" if space.frame else ""),
         "units": f"{', '.join(quantity(space, q)[1] for q in QUANTITIES)}; time in {space.units.time}",

@@ -98,7 +98,7 @@ def test_satellites_of_a_precise_ephemeris_are_trajectories():
     assert [one.what for one in notes if isinstance(one, Remark)] == [
         "positions missing: 1",
         "positions predicted: 1",
-        "frame IGS20 taken as ITRF; clocks and accuracies are not used",
+        "frame IGS20 is treated as ITRF; clocks and accuracies are not used",
     ]
 
 

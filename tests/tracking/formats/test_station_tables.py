@@ -31,7 +31,7 @@ def test_kinds_stations_and_times(table):
     assert data.values[4, KINDS.index("range_rate")] == -1.25
     assert np.allclose(np.degrees(data.values[5, 4:6]), [298.0329, -30.1641], rtol=1e-14)
     assert np.isnan(data.values[0, 1:]).all()
-    assert "no sidecar: taken as AZ_EL in deg, RANGE in km" in data.remarks[0]
+    assert "no sidecar: AZ_EL in deg, RANGE in km" in data.remarks[0]
 
 
 def test_a_sidecar_says_units_object_clock_event_and_deviations(table):

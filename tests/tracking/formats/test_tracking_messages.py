@@ -33,8 +33,8 @@ def test_measurements_of_a_moment_are_together(notation):
     assert data.weather[0, 1:].tolist() == [280.0, 0.5]
     assert data.remarks == (
         "not used: RECEIVE_FREQ_1",
-        "ranges and rates of two-way links taken for half the round trip",
-        "means over 10 s taken as the range rates at their midpoints",
+        "ranges and rates of two-way links are assumed to be for half the round trip",
+        "means over 10 s are treated as the range rates at their midpoints",
     )
 
 
