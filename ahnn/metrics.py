@@ -48,7 +48,7 @@ def rmse_norm(error: Tensor) -> Tensor:
     """Return the mean over trajectories of the rms over time of the vector norm, a scalar.
 
     Args:
-        error: (B, T, n) with NaN rows without truth; trajectories without any truth are ignored.
+        error: (B, T, n), rows are NaN where there is no truth; trajectories without any truth are ignored.
     """
     return error.square().sum(-1).nanmean(-1).sqrt().nanmean()
 

@@ -175,7 +175,7 @@ class Catalogue:
         """Restore the state written by `save`, and return its notes.
 
         Raises:
-            UserError: a missing or damaged file, or one of another process, sensors or window.
+            UserError: a missing or damaged file, or one saved with a different process, sensors or window.
         """
         known = None if self.newcomer is not None else self.names
         return read_catalogue(self.objects, Path(path), self.identity, known, len(self.columns))

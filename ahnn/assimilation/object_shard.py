@@ -45,7 +45,7 @@ class ObjectShard(NamedTuple):
         return np.array([_hash(name) % self.workers == self.number - 1 for name in names], dtype=bool)
 
     def starts(self, names: Sequence[str], belief: Belief, times: Tensor) -> tuple[list[str], Belief, Tensor]:
-        """Return names, beliefs and times (N,) of its objects; raises UserError if it has none."""
+        """Return the names, beliefs and times (N,) of its objects; raises UserError if there are none."""
         own = torch.from_numpy(self.holds(names))
         if not own.any():
             received = f"none for worker {self.number} of {self.workers}"
@@ -57,7 +57,7 @@ class ObjectShard(NamedTuple):
         return mine, Belief(belief.mean[own], belief.chol[own]), times[own]
 
     def lines(self, parsed: ParsedLines) -> ParsedLines:
-        """Return the readings of its objects; each invalid line is reported by one worker."""
+        """Return the readings of this worker's objects; each invalid line is reported by one worker only."""
         if self.workers == 1:
             return parsed
         objects, times, sensors, values, deviations = parsed.table

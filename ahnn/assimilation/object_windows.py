@@ -137,7 +137,7 @@ class FollowedObjects:
     def restore(
         self, names: list[str], state: FilterState, windows: list[ObjectWindow], since: Array, lost: Places
     ) -> None:
-        """Take over the content of another container without free rows."""
+        """Take over the content of another container that has no free rows."""
         self.state, self._used, self._free = state, len(state.status), []
         self.names = {name: k for k, name in enumerate(names)}
         self.windows, self.since, self.lost = windows, since, lost

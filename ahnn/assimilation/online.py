@@ -179,7 +179,7 @@ class Assimilation:
         """Restore the state written by `save`, and return its notes.
 
         Raises:
-            UserError: a missing or damaged file, or one of another process, sensors or window.
+            UserError: a missing or damaged file, or one saved with a different process, sensors or window.
         """
         try:
             state, notes = load_state(path, like=self.window.anchor), load_notes(path)

@@ -38,7 +38,7 @@ class Notes(NamedTuple):
     """Information on stream and output in a saved state.
 
     Attributes:
-        lines, place, digest: number of processed lines, their bytes, and their hash.
+        lines, place, digest: number of processed lines, their length in bytes, and their hash.
         header: first line.
         size, tail: size of the output, and hash of its last bytes.
         kind: format of the output.

@@ -191,7 +191,7 @@ class TableParser:
         return found
 
     def _singly(self, lines: list[int], texts: list[str]) -> tuple[list[Any], dict[int, str]]:
-        """Parse lines individually, with errors of invalid ones."""
+        """Parse lines individually, and collect the errors of invalid ones."""
         rows, bad = [], dict[int, str]()
         for line, text in zip(lines, texts, strict=True):
             try:
@@ -202,7 +202,7 @@ class TableParser:
         return found, bad | others
 
     def _rows(self, lines: list[int], rows: list[dict[str, Any]]) -> tuple[list[Any], dict[int, str]]:
-        """Parse rows individually, with errors of invalid ones."""
+        """Parse rows individually, and collect the errors of invalid ones."""
         found, bad = list[tuple[int, str, Reading]](), dict[int, str]()
         for line, row in zip(lines, rows, strict=True):
             try:

@@ -62,7 +62,7 @@ def compose_sweep(overrides: Sequence[str]) -> list[DictConfig]:
 
 
 def _opened(cfg: DictConfig) -> DictConfig:
-    """Return a configuration that accepts further keys, without Hydra's own node."""
+    """Return a configuration that accepts new keys, without Hydra's own node."""
     OmegaConf.set_struct(cfg, False)
     del cfg["hydra"]
     return cfg

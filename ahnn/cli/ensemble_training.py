@@ -81,7 +81,7 @@ def prepare_members(cfg: DictConfig) -> PreparedEnsemble:
 
 
 def points_of(cfg: DictConfig, members: Sequence[Prepared]) -> MemberPoints:
-    """Return what keeps the best weights of each member; raises UserError where nothing selects them."""
+    """Return the callback that keeps each member's best weights; raises UserError if nothing selects them."""
     from ahnn.training.callbacks import MemberPoints, ValidationRollout
 
     best, node = cfg.callbacks.get("best"), cfg.callbacks.get("rollout")

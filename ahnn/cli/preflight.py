@@ -59,7 +59,7 @@ def require_new(folder: Path, ckpt: str | None) -> None:
     """Check that a training run overwrites neither another run nor foreign files.
 
     Raises:
-        UserError: the folder holds checkpoints and none is resumed, or files that are not ours.
+        UserError: the folder contains checkpoints but none is resumed, or files that are not ours.
     """
     from ahnn.evaluation.sinks.figure_files import pictures_in
 

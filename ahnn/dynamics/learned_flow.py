@@ -65,7 +65,7 @@ def library() -> ctypes.CDLL | None:
 class LearnedFlow:
     """Flow of learned Hamiltonian dynamics in C, equal up to rounding, for one step length at a time.
 
-    Its parameters are those at the time of its construction. Steps of members and gradients take `flow`.
+    Its parameters are those at the time of its construction. Steps of members, and gradients, use `flow`.
 
     Args:
         flow: the dynamics.
@@ -108,7 +108,7 @@ class LearnedFlow:
 
 
 def _again(flow: HamiltonianDynamics) -> LearnedFlow | HamiltonianDynamics:
-    """Return the flow of a copy."""
+    """Return the flow of copied dynamics."""
     return learned_flow(flow) or flow
 
 

@@ -155,7 +155,7 @@ def for_bodies(dynamics: nn.Module, masses: Sequence[float]) -> nn.Module:
         masses: masses of two or more bodies.
 
     Raises:
-        UserError: dynamics of another structure, or invalid masses.
+        UserError: dynamics with a different structure, or invalid masses.
     """
     found: Any = copy.deepcopy(dynamics)
     field = getattr(found, "field", None)

@@ -2,7 +2,7 @@
 
 Each member is a module of its own; they share architecture and scalings. A step of all of them is a single
 operation: in C one member per core, otherwise by `torch.func.vmap` over their stacked parameters, with one
-kernel where a loop has one for each member.
+kernel instead of one for each member.
 """
 
 from __future__ import annotations

@@ -70,7 +70,8 @@ class FilterLoop(Protocol[M]):
     ) -> tuple[M, StepRecord]:
         """Return the state after step k, which ends at `time`, and its record; the row may be None.
 
-        A step function may do further steps of its plan: the state is that after all steps of the record.
+        A step function may also do the following steps of its plan: the state is that after all steps of the
+            record.
         """
         ...
 

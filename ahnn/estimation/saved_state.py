@@ -84,7 +84,7 @@ def load_state(path: Path | str, device: torch.device | str = "cpu", *, like: S 
 
     Raises:
         FileNotFoundError: the file is missing.
-        ValueError: the file is damaged, of an earlier format, or not a state of this kind.
+        ValueError: the file is damaged, has an earlier format, or does not contain a state of this kind.
     """
     stored, about = _read(Path(path))
     try:
@@ -112,7 +112,7 @@ def _read(path: Path) -> Weights:
 
     Raises:
         FileNotFoundError: the file is missing.
-        ValueError: the file is damaged, or of another format.
+        ValueError: the file is damaged, or has a different format.
     """
     if not path.exists():
         raise FileNotFoundError(path)

@@ -159,7 +159,7 @@ class Findings:
     Attributes:
         notes: findings without a row, attached to the first row of the evaluation.
         faults: findings that need a remedy, for the verdict.
-        highlights: further findings for the verdict.
+        highlights: additional findings for the verdict.
     """
 
     rows: list[Row] = field(default_factory=list)

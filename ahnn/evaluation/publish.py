@@ -30,7 +30,7 @@ def report(
 
     Args:
         case: case to evaluate, with the output folder.
-        plugins: further evaluations by name.
+        plugins: additional evaluations by name.
         training: training information: `seed`, `window`, `val_loss`, `seconds`, `steps`, `parameters`, ...
         more: additional sinks, such as a `TensorBoardSink`.
         predictions: whether to keep the predicted trajectories.

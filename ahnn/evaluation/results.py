@@ -63,7 +63,7 @@ def load_results(folder: Path | str) -> Results:
     """Load the results from a folder's metrics.json.
 
     Raises:
-        UserError: the file is missing, damaged, or of another schema.
+        UserError: the file is missing or damaged, or has a different schema.
     """
     path = Path(folder) / FILE
     content = read_json(path)

@@ -34,7 +34,7 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
 
     Args:
         case: case to evaluate.
-        plugins: further evaluations, by name.
+        plugins: additional evaluations, by name.
         figures: whether to draw and keep figures.
     """
     findings = open_loop(case)

@@ -167,7 +167,7 @@ def _details(row: Row, results: Results) -> str:
 
 
 def _noted(who: str, findings: list[str]) -> list[str]:
-    """Format notes: one finding after the name of its row, several below it."""
+    """Format notes: a single finding after the name of its row, several findings below it."""
     if len(findings) == 1:
         return _wrapped(f"{who}: {findings[0]}", hanging=True)
     below = (textwrap.wrap(one, WIDTH, initial_indent="  ", subsequent_indent="    ") for one in findings)

@@ -52,7 +52,7 @@ def open_loop_figures(case: Case, arrays: dict[str, Tensor]) -> dict[str, Figure
 
 
 def _curves(case: Case, arrays: dict[str, Tensor]) -> Iterator[Curve]:
-    """Yield the floor, if any, and the model."""
+    """Yield the prediction of the floor, if any, and that of the model."""
     floor = floors(case).get("true")
     if floor is not None:
         name = f"floor: {title(floor.who, case.label)}"

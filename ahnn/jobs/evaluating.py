@@ -34,7 +34,7 @@ class Reevaluation:
         name: name of this evaluation; None for date and time.
         label: name in tables.
         splits: data splits.
-        plugins: further evaluations by name.
+        plugins: additional evaluations by name.
         seed: seed of the perturbed starts.
         report: options of `ahnn.evaluation.publish`.
     """

@@ -72,7 +72,7 @@ class PlannedSensor(NamedTuple):
 
 
 class Candidate(NamedTuple):
-    """Measurements that are chosen together.
+    """Session: measurements that are chosen together.
 
     Attributes:
         name: name of the instrument.

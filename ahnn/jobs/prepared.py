@@ -19,7 +19,7 @@ class Assessment(NamedTuple):
     """Options of the evaluation after training.
 
     Attributes:
-        plugins: further evaluations by name.
+        plugins: additional evaluations by name.
         seed: seed of the perturbed starts.
         report: options of `ahnn.evaluation.publish`.
         searched: keys varied by a search, for TensorBoard's comparison of runs.

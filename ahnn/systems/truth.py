@@ -53,7 +53,7 @@ def varied_flow(system: System, constants: Mapping[str, Tensor]) -> Flow:
     """
     varied = copy.copy(system)
     for name, values in constants.items():
-        object.__setattr__(varied, name, values)  # frozen, with checks for single numbers
+        object.__setattr__(varied, name, values)  # bypasses the checks of single numbers
     vars(varied).pop("forces", None)  # computed from the previous constants
     return SubstepsFlow(varied, accurate_substeps(system))
 

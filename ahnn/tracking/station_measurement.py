@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 
 class NearbyStates(NamedTuple):
-    """States around their own time, one for each row of the measurements.
+    """States at one time, one per measurement row, from which states at nearby times follow.
 
     Attributes:
         time: time of the states.

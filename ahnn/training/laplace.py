@@ -243,6 +243,6 @@ def held_out_scale(factor: Tensor, test: Equations, noise: float, scatter: float
     beyond = excess**2 - REFUSED**2 * test.degrees * scatter
     if excess <= 0 or beyond <= 0:
         return 1.0
-    # Root of a f^2 - 2 b f + c = 0; below it, noise alone would explain more than is observed.
+    # The root of a f^2 - 2 b f + c = 0; below it, noise alone would explain more than what is observed.
     a, b = expected**2 - 2 * REFUSED**2 * squares, expected * (excess + 2 * REFUSED**2 * noise)
     return max(1.0, beyond / (b + (b**2 - a * beyond) ** 0.5))

@@ -88,7 +88,7 @@ def ordered(track: Track, column: str, note: Note = refuse) -> Track:
 
 
 def filled(track: Track, gap: float, *, linear: bool = False) -> Track:
-    """Fill the gaps of a track with missing samples, spaced about as the present samples.
+    """Fill the gaps of a track with missing samples, spaced about like the existing samples.
 
     On a regular grid every missing point is a gap; otherwise every step longer than `gap` times the median.
     Controls continue through a gap, held or interpolated linearly.

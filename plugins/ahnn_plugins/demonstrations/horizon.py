@@ -114,7 +114,7 @@ class Horizon:
         return kepler(x, torch.as_tensor(dt).to(x).expand(x.shape[:-1]), mu)
 
     def __call__(self, case: Case) -> Findings:
-        """Return the rows of the other flows, errors per period, and in how many the model is best."""
+        """Return the rows of the other flows, errors per period, and how many periods the model wins."""
         measured, ahead = self._measured(case), []
         for name, flow in self.flows(case).items():
             starts = {"true": case.test.states[:, 0], "fitted": fitted_start(flow, measured, case)}

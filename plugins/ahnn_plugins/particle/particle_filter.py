@@ -99,8 +99,9 @@ class ParticleFilter(SampleFilter):
             raise UserError(message)
         if self.proposal == "ukf" and (h == 0.0 or self.stages != STAGES):
             message = (
-                "proposal: expected prior where bandwidth is 0 or stages are set, since ukf updates kernels "
-                f"of some width in one stage; received ukf with bandwidth={h}, stages={self.stages}"
+                "proposal: expected prior where bandwidth is 0 or stages are set, since ukf needs a "
+                f"bandwidth above 0 and works in one stage; received ukf with bandwidth={h}, "
+                f"stages={self.stages}"
             )
             raise UserError(message)
 

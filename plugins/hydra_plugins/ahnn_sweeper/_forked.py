@@ -50,7 +50,7 @@ def start(program: str, arguments: list[str], log: Path, *, bound: bool = False)
 
 
 def exit_code(process: BaseProcess) -> int:
-    """Wait for a command and return its exit code, or the number of the signal that killed it, negative."""
+    """Wait for a command and return its exit code, or the negative number of the signal that killed it."""
     wait([process.sentinel])
     with _one_thread:
         process.join()

@@ -29,7 +29,7 @@ def slots(collection: Collection) -> dict[str, int]:
 
 
 def one_each(entries: Iterable[Entry]) -> list[Entry]:
-    """Return the first evaluation of every run: further evaluations add nothing to the spread of seeds."""
+    """Return the first evaluation of every run: additional evaluations add nothing to the spread of seeds."""
     chosen: dict[Path, Entry] = {}
     for entry in entries:
         chosen.setdefault(training_folder(entry), entry)
