@@ -43,7 +43,7 @@ def rollout(
             them.
 
     Raises:
-        UserError: missing clock for a flow that depends on time or controls.
+        UserError: no clock is given for a flow that depends on time or controls.
     """
     count = clock_of(flow)
     if count and (clock is None or clock.values.shape[-1] < count):

@@ -46,7 +46,7 @@ class KeptRow(NamedTuple):
 class ObjectWindow(list[KeptRow]):
     """Readings of one object in chronological order, preceded by the belief held before the first of them.
 
-    Without replay it contains only readings of the newest time, which share one row.
+    Without replay it contains only the readings at the newest time, which share one row.
     """
 
     def place(self, time: float) -> int:

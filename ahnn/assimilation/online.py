@@ -123,7 +123,7 @@ class Assimilation:
         return [Estimate("taken", reading.time, *told) for reading, *told in rows]
 
     def _of_one(self, reading: Reading) -> Estimate:
-        """Process one reading; raises as `update`."""
+        """Process one reading; raises the errors of `update`."""
         now = self.window.time
         if reading.time > now + self.gap:
             return self._estimate("ahead")

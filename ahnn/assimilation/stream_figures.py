@@ -41,7 +41,7 @@ def innovations(record: AssimilationRecord, space: Space, units: Mapping[str, st
         axes.axhline(0, color=style.BLACK, lw=0.6)
         taken = ~refused[there]
         limit = 2.0 * float(np.median(wide)) if len(t) else 1.0
-        limit = max(limit, float(np.abs(value[taken]).max(initial=0.0)))  # outliers do not flatten the curves
+        limit = max(limit, float(np.abs(value[taken]).max(initial=0.0)))  # without the outliers
         several = len(sensors) > 1
         for sensor, color in zip(sensors, cycle(COLORS), strict=False):
             own = taken & (record.sensor[there] == sensor)

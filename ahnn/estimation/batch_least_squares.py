@@ -57,7 +57,7 @@ class BatchResult(NamedTuple):
     settled: Tensor
 
     def of_states(self, size: int) -> BatchResult:
-        """Return the marginals of the leading components, as leading blocks."""
+        """Return the marginals of the leading components, which are the leading blocks."""
         return self._replace(
             initial=leading(self.initial, size),
             means=self.means[..., :size],

@@ -106,7 +106,7 @@ def measured_test(data: SplitData, noise: NoiseEstimate | None) -> Segment | Non
 
 
 def instrument_of(data: SplitData, noise: NoiseEstimate | None) -> Instrument:
-    """Return the instrument, with the noise estimated in training; raises as `NoiseEstimate.applied` does."""
+    """Return the instrument, with the noise estimated in training; raises the errors of `applied`."""
     assert data.sensor is not None
     found = data.instrument()
     return found if noise is None else noise.applied(found, data.sensor.unknown)

@@ -58,7 +58,7 @@ def blocks_of(asked: PredictionRequest, begin: Starts, moments: Moments) -> list
 
 
 def predict_block(block: StartBlock) -> Prediction:
-    """Return the mean prediction of all runs; raises as `Run.predict`."""
+    """Return the mean prediction of all runs; raises the errors of `Run.predict`."""
     controls = block.moments.controls
     found = []
     for run in _loaded(block.runs, block.pretrained, block.ckpt):

@@ -124,8 +124,8 @@ def initial_orbit(model: TrackingModel) -> tuple[Array, float]:
                 guesses.append((0.0, angle(*lines[chosen][[0, 2]]), state, times[chosen][1]))
     if not guesses:
         message = (
-            "start: expected position and velocity, or a station that has measured three directions along an "
-            "arc, azimuths and elevations or right ascensions and declinations; received neither"
+            "start: expected a position and a velocity, or a station that measured three directions along an "
+            "arc (azimuth and elevation, or right ascension and declination); received neither"
         )
         raise UserError(message)
     _, _, state, time = max(guesses, key=lambda one: one[:2])

@@ -164,7 +164,7 @@ def _rates(noise: FoundNoise) -> Tensor:
 
 
 def _parts(noise: FoundNoise) -> tuple[Tensor, Tensor]:
-    """Return fractions and logarithms of memories (M,), 0 where nothing is coloured."""
+    """Return the coloured fractions and the logarithms of the memories, (M,), 0 where noise is white."""
     none = torch.zeros_like(noise.scales)
     if noise.colour is None:
         return none, none

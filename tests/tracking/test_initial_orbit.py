@@ -131,7 +131,7 @@ def test_ranges_alone_give_no_orbit():
     pytest.importorskip("erfa")
     pytest.importorskip("de421")
     made, _ = problem(kinds=1)
-    with pytest.raises(UserError, match="start: expected position and velocity, or a station that has"):
+    with pytest.raises(UserError, match="start: expected a position and a velocity, or a station that"):
         initial_orbit(made.model)
     assert triple(np.ones((5, 3))) is None
 

@@ -19,7 +19,7 @@ class Finding(NamedTuple):
         row: line or record number; 0 for the entire file or column.
         column: column name, or "".
         what: description of the defect.
-        remedy: remedy.
+        remedy: what the user can do.
     """
 
     level: Level

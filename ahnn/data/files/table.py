@@ -53,7 +53,7 @@ class Fault(UserError):
     Attributes:
         place: place of the error.
         expected, received: expected and received content.
-        remedy: remedy, "" if obvious.
+        remedy: what the user can do, "" if obvious.
     """
 
     def __init__(self, place: Place, expected: str, received: str, remedy: str = "") -> None:

@@ -166,7 +166,7 @@ def consistency(case: Case, setting: Setting, chosen: Chosen) -> Figure:
     times, there = axis.time[1:], low.isfinite()
     shown = {"color": style.BAND, "alpha": 0.45, "lw": 0}
     panels[0].axhspan(*band(size, members), label="95 % band", **shown)
-    # Several sensors each measure a part.
+    # The band varies with time if sensors do not measure all members.
     panels[1].fill_between(times[there], low[there], high[there], **shown)
     panels[0].set_ylabel(f"mean NEES ({size} if consistent)")
     panels[1].set_ylabel("NIS per measured value\n(1 if consistent)")

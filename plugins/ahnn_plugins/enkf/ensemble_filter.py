@@ -178,7 +178,7 @@ class EnsembleKalmanFilter(SampleFilter):
         told, width = conditioned(prior, joint.chol, joint.innovation, y), y.shape[-1]
         chol_y, cross = joint.chol[:, :width, :width], joint.chol[:, width:, :width]
         if self.form == "stochastic":
-            # Rows of noise, except for missing components.
+            # Measured components get rows of noise; missing components get none.
             draw = centred(state.random.normal(y, *joint.deviations.shape))
             off = joint.innovation.unsqueeze(1) - joint.deviations + draw @ joint.noise[:, :width]
             moved = points + _solved(off, chol_y) @ cross.mT

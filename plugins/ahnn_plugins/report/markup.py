@@ -36,7 +36,8 @@ def tag(name: str, /, *content: Content, **attributes: str | int | None) -> Mark
     Args:
         name: name of the element.
         content: content of the element.
-        attributes: their values are escaped; None omits one; `class_` is class, `_` stands for `-`.
+        attributes: attribute values, which are escaped; None omits an attribute. `class_` means class, and
+            `_` means `-`.
     """
     pairs = {key.rstrip("_").replace("_", "-"): value for key, value in attributes.items()}
     given = "".join(f' {k}="{html.escape(str(v))}"' for k, v in pairs.items() if v is not None)

@@ -49,7 +49,7 @@ class Report:
             output: report folder, new or of an earlier report.
 
         Raises:
-            UserError: no runs, a damaged run, a folder with other content, or plotly is missing.
+            UserError: there are no runs, a run is damaged, a folder has other content, or plotly is missing.
         """
         if self.figures:
             require_plotly()

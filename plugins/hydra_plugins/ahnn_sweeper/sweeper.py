@@ -117,7 +117,7 @@ class AhnnOptunaSweeper(Sweeper):
         )
 
     def _space(self, arguments: Sequence[str]) -> "SearchSpace":
-        """Return the search space after test composition of one draw, which detects wrong keys."""
+        """Return the search space, after one draw has been composed as a test for wrong keys."""
         import optuna
 
         from hydra_plugins.ahnn_sweeper import _space
