@@ -92,7 +92,7 @@ class Extent(NamedTuple):
 
     @classmethod
     def of(cls, part: Trajectories) -> Extent:
-        """Compute the extent of trajectories that fit into memory several times over."""
+        """Compute the extent of trajectories; this takes several times their memory."""
         flat = part.states[part.present]
         radius = flat.chunk(2, dim=-1)[0].norm(dim=-1)
         _, increments, lengths = steps_of(part)

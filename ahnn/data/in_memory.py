@@ -110,7 +110,7 @@ def check_states(given: Trajectories, dof: int) -> Trajectories:
 
 
 def check_controls(given: Trajectories, space: Space, times: Tensor) -> Tensor | None:
-    """Validate controls; return float64, (B, T, m), or None for a space without controls.
+    """Validate controls; return a float64 tensor (B, T, m), or None for a space without controls.
 
     Raises:
         UserError: a wrong shape, or a missing value at a known time.

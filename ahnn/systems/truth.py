@@ -78,8 +78,8 @@ def accurate_substeps(system: System) -> int:
         count *= 2
     message = (
         f"system {system.name}: expected reference states with a relative accuracy of {ACCURACY:g}; "
-        f"received dt={system.dt:g}, where {FINEST} substeps of {system.integrator} miss it by {error:.1e}. "
-        "Shorten system.dt"
+        f"received dt={system.dt:g}, for which {FINEST} substeps of {system.integrator} have an error of "
+        f"{error:.1e}. Shorten system.dt"
     )
     raise UserError(message)
 

@@ -78,7 +78,7 @@ def filtered_directions(
             sufficient directions are returned.
 
     Raises:
-        UserError: all paths diverge.
+        UserError: all paths of the filter diverge.
     """
     steps = steps_between(watched.segment.times, watched.segment.instrument.longest)
     states = path(dynamics.increment, watched.start, steps.lengths)
@@ -86,7 +86,7 @@ def filtered_directions(
     if not bool(sound.any()):
         message = (
             "process_noise: expected a model whose trajectories from the training states stay finite; "
-            f"received one with {len(states)} paths that do not"
+            f"received one with {len(states)} trajectories that do not"
         )
         raise UserError(message)
     states, steps, segment = states[sound], steps.rows(sound), watched.segment.rows(sound)
