@@ -75,7 +75,7 @@ def test_the_fewest_substeps_that_are_accurate_are_taken_and_remembered(drifting
 
 def test_more_than_64_substeps_are_refused(drifting):
     drifting(1.1 * 64 * 2 * truth.ACCURACY * sizes()[0] / (STEPS * SYSTEM.dt**2))
-    with pytest.raises(UserError, match=r"drifting: .*where 64 substeps .* miss it by 1.1e-10"):
+    with pytest.raises(UserError, match=r"drifting: .*for which 64 substeps .* have an error of 1.1e-10"):
         truth.accurate_substeps(SYSTEM)
 
 
