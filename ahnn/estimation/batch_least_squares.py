@@ -88,7 +88,7 @@ def batch_least_squares(
         start_time: time of the belief.
 
     Raises:
-        ValueError: invalid argument, with the name that filters use.
+        ValueError: an invalid argument, named as in filters.
     """
     check_belief(belief)
     sensor = checked_sensor(measurement, measurement_noise, belief, None)

@@ -127,7 +127,7 @@ def legend_below(figure: Figure, *panels: Any) -> None:
 
 
 def logarithmic(axes: Any, first: int, others: Iterable[Any] = ()) -> None:
-    """Make the vertical axis logarithmic, scaled to the curves after their entry `first`.
+    """Make the vertical axis logarithmic, scaled to the entries of the curves from `first` on.
 
     Args:
         axes: axes with lines.

@@ -29,7 +29,7 @@ class StartBlock(NamedTuple):
     Attributes:
         runs: folders of the trainings; empty for a shipped model.
         pretrained: name of a shipped model.
-        ckpt: which weights.
+        ckpt: weights to use: `best`, `last`, or a path.
         states: (B, D) starts.
         covariances: (B, D, D) covariances of the starts, or None.
         moments: time steps and controls.

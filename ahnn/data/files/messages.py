@@ -53,7 +53,7 @@ def _ephemerides(blocks: list[MessageBlock]) -> list[Ephemeris]:
 
 
 def write_oem(path: str | Path, ephemerides: Iterable[Ephemeris], originator: str = "ahnn") -> None:
-    """Write an orbit ephemeris message; atomically.
+    """Write an orbit ephemeris message atomically.
 
     Args:
         path: path of the file, in XML if it ends in .xml, otherwise in keyword = value notation.

@@ -37,7 +37,7 @@ class RangingSession:
 
     Attributes:
         start, stop: time span of its points; stop is None if unspecified.
-        last: last moment, to resolve the day of seconds of day.
+        last: last moment, from which the day of the next record follows.
     """
 
     start: int

@@ -1,9 +1,10 @@
 """Verdicts on claims from runs: it holds, it does not hold, or it is undecided.
 
-A claim is a set of demands, each that the ratio of two scores lies in an interval. It holds if the confidence
-interval of every ratio lies inside: each at the level of the report, without correction, since all must pass
-(an intersection-union test). It does not hold if the interval of some ratio lies entirely outside, at the
-level divided by the number of demands (Bonferroni), since any single one suffices. Otherwise it is undecided.
+A claim is a set of demands, each of which requires that the ratio of two scores lies in an interval. It holds
+if the confidence interval of every ratio lies inside: each at the level of the report, without correction,
+since all must pass (an intersection-union test). It does not hold if the interval of some ratio lies entirely
+outside, at the level divided by the number of demands (Bonferroni), since any single one suffices. Otherwise
+it is undecided.
 """
 
 from __future__ import annotations
