@@ -53,7 +53,7 @@ def test_short_curves_are_left_alone():
 
 
 def test_too_few_samples_are_refused():
-    with pytest.raises(ValueError, match="most: expected at least 8 of 2 columns; received 7"):
+    with pytest.raises(ValueError, match="most: expected at least 8 for 2 columns; received 7"):
         extremes([torch.rand(100)] * 2, 7)
 
 
