@@ -88,6 +88,20 @@ def test_objects_are_as_in_commands_of_their_own_and_their_states_are_starts(cap
 
 
 @pytest.mark.usefixtures("place")
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_estimates_have_epochs_where_time_zero_has_one(kind):
+    epoch = "epoch=2024-03-01T12:00:00"
+    assert assimilate(*GIVEN, epoch, f"output=track.{kind}") == 0
+    if kind == "csv":
+        rows = rows_of("track.csv")
+    else:
+        rows = pytest.importorskip("pyarrow.parquet").read_table("track.parquet").to_pylist()
+    assert list(rows[0])[:4] == ["line", "object", "time", "epoch"]
+    assert float(rows[COUNT]["time"]) == 30.0
+    assert rows[COUNT]["epoch"] == "2024-03-01T12:00:30.000"
+
+
+@pytest.mark.usefixtures("place")
 def test_a_killed_command_goes_on_with_the_same_bytes():
     command = [sys.executable, "-m", "ahnn.assimilate", *COMMAND, *GIVEN, "every=7"]
     names = ["output=parts.csv", "state=parts.state", "states=parts.last.csv"]

@@ -11,8 +11,9 @@ from torch import Tensor
 from ahnn.assimilation.output_rows import Format, Rows
 from ahnn.assimilation.parquet_stream import packed_table
 from ahnn.assimilation.reading_table import Array, CatalogueEstimates, ReadingTable
+from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.assimilation.stream_sensor import StreamSensor
-from ahnn.data.estimate_table import FIRST
+from ahnn.data.estimate_table import DATED, FIRST
 from ahnn.data.files.sidecar import Sidecar
 
 OBJECT = "object"
@@ -30,8 +31,9 @@ class CatalogueRows(Rows):
         said: Sidecar | None = None,
         *,
         scales: Tensor | None = None,
+        clock: StreamClock | None = None,
     ) -> None:
-        super().__init__(components, sensors, kind, said, scales=scales)
+        super().__init__(components, sensors, kind, said, scales=scales, clock=clock)
         self.names.insert(1, OBJECT)
         self.sensors = [*sensors, ""]  # -1 marks no sensor
 
@@ -48,6 +50,7 @@ class CatalogueRows(Rows):
             FIRST[0]: np.array(lines, dtype=np.int64)[chosen],
             OBJECT: [readings.objects[k] for k in chosen.tolist()],
             FIRST[1]: found.times[chosen],
+            **self._epochs(found.times[chosen]),
             FIRST[2]: [self.sensors[k] for k in readings.sensors[chosen].tolist()],
             FIRST[3]: [outcomes[k] for k in chosen.tolist()],
             FIRST[4]: found.replayed[chosen],
@@ -62,6 +65,13 @@ class CatalogueRows(Rows):
         if self.kind == "parquet":
             return packed_table(self.columns(lines, readings, found))
         return self.text(self.columns(lines, readings, found))
+
+    def _epochs(self, times: Array) -> dict[str, list[str]]:
+        """Return the column of epochs, where time zero has one."""
+        if self.clock is None:
+            return {}
+        known = {time: self.clock.epoch(time) for time in set(times.tolist())}
+        return {DATED[2]: [known[time] for time in times.tolist()]}
 
     def _numbers(self, found: CatalogueEstimates, chosen: Any) -> Array:
         """Return means, lower triangles of covariances, innovations and their deviations, (K, C)."""

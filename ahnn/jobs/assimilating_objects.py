@@ -94,7 +94,8 @@ def rows_of(stream: Stream, catalogue: Catalogue) -> CatalogueRows:
     space, kind = stream.space, _kind(stream.asked)
     table = described(space, stream.reference)
     beside = table._replace(columns={**table.columns, "id": OBJECT})
-    return CatalogueRows(track_names(space), catalogue.sensors, kind, beside, scales=space.scales)
+    names, clock = track_names(space), stream.clock
+    return CatalogueRows(names, catalogue.sensors, kind, beside, scales=space.scales, clock=clock)
 
 
 def conclude(stream: Stream, found: CatalogueOutcome) -> None:

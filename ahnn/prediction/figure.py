@@ -41,5 +41,6 @@ def prediction_figure(prediction: Prediction, space: Space, title: str) -> Figur
         name, unit = quantity(space, block)
         axes.set_ylabel(f"{name} [{unit}]")
     style.label_time(panels[-1], style.Axis(time, space.units.time))
+    panels[-1].set_xlabel(f"time after the start [{space.units.time}]")
     panels[0].set_title(title if prediction.deviations is None else f"{title}, with {SIGMAS} sigma")
     return figure

@@ -99,10 +99,8 @@ def say_unused(header: Header, found: Roles, place: Place, note: Note) -> None:
     if others := [name for name in unused if name not in deviations]:
         note(Remark(place, f"not used, since the sidecar does not name them: {', '.join(others)}"))
     if deviations:
-        what = f"training does not use standard deviations of individual samples: {', '.join(deviations)}"
-        remedy = (
-            "Set one for all: sensor=recorded data.noise=...; the standard deviations of a start are used"
-        )
+        what = f"{', '.join(deviations)}: used for a start, but not for training"
+        remedy = "For training, set one standard deviation for all samples: sensor=recorded data.noise=..."
         note(Remark(place, what, remedy, "warning"))
 
 

@@ -21,9 +21,9 @@ def test_columns_that_nothing_is_read_of_are_said(tmp_path):
     ]
     assert [one.what for one in notes] == [
         "1 line skipped, starting with #",
-        "training does not use standard deviations of individual samples: sd_x",
+        "sd_x: used for a start, but not for training",
     ]
-    remedy = "Set one for all: sensor=recorded data.noise=...; the standard deviations of a start are used"
+    remedy = "For training, set one standard deviation for all samples: sensor=recorded data.noise=..."
     assert notes[1].remedy == remedy
     (tmp_path / "a.yaml").write_text("columns: {time: t, positions: x}")
     (tmp_path / "a.csv").write_text("t,x,note\n0,1,9\n1,2,9\n")
