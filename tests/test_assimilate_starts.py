@@ -228,6 +228,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("key", CHANGES)
+@pytest.mark.sampled(4)
 def test_a_key_that_changed_beside_a_saved_state_is_named(key, capsys):
     command = [*NUMBERS, PLAIN, "state=a.state"]
     assert assimilate(*command) == 0

@@ -105,6 +105,7 @@ def test_every_command_imports_in_this_way(tmp_path, monkeypatch, module, mistak
 
 
 @pytest.mark.parametrize("mode", [[], ["-m"]])
+@pytest.mark.sampled(2)
 def test_a_setting_that_is_wrong_is_told_before_torch_is_imported(tmp_path, mode):
     code = (
         f"import sys; sys.argv = ['ahnn-train', *{mode}, 'seed=x', 'hydra.sweep.dir={tmp_path}']\n"

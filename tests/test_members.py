@@ -57,6 +57,7 @@ def best(folder, seed):
 
 
 @pytest.mark.parametrize("case", CASES)
+@pytest.mark.sampled(4)
 def test_each_member_is_the_training_of_its_seed(case, tmp_path):
     words, accuracy = CASES[case]
     at_once = trained(tmp_path / "at_once", [*words, "members=2", "seed=7"])

@@ -134,6 +134,7 @@ def test_a_known_force_stands_beside_a_learned_one(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(("stiffness", "better"), [(5.0, False), (4.0, True)])
+@pytest.mark.sampled(2)
 def test_known_physics_stays_the_result_where_no_later_weights_are_better(tmp_path, stiffness, better):
     """The system's own spring leaves at most the error of the integrator; a soft one leaves more."""
     spring = ["hamiltonian=mechanical", "forces=springs", f"model.forces.springs.stiffness={stiffness}"]

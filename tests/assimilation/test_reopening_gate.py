@@ -82,6 +82,7 @@ ESTIMATORS = {
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
+@pytest.mark.sampled(3)
 def test_a_filter_far_off_finds_its_object(name):
     far = 1e3 if name == "particle" else 1e6
     process = online_process(ESTIMATORS[name].gated(GATE), coast, STEP, Q)

@@ -106,6 +106,7 @@ def test_held_controls_jump_and_linear_ones_do_not():
 
 @torch.no_grad()
 @pytest.mark.parametrize("name", ["rk4", "dopri8", "gl4"])
+@pytest.mark.sampled(3)
 def test_methods_keep_their_order_under_forces_that_depend_on_time(name):
     model = dynamics({"forcing": {"frequency": 2.0}, "friction": {}}, integrator=name)
     start, exact = states(4, 4), INTEGRATORS["dopri8"]

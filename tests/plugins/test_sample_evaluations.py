@@ -81,6 +81,7 @@ def test_every_option_of_a_filter_is_one_of_theirs(case, name, options):
 
 
 @pytest.mark.parametrize("name", SMALL)
+@pytest.mark.sampled(3)
 def test_figures_are_those_of_every_filter(tmp_path, name):
     flow = Integrated(SPRING, INTEGRATORS["rk4"])
     few = case_of(SPRING, flow, perturbations(SPRING, 2, seed=0), tmp_path)

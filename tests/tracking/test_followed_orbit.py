@@ -58,6 +58,7 @@ def batch(folder, tmp_path_factory):
 
 
 @pytest.mark.parametrize("plugin", ["ekf", "ukf"])
+@pytest.mark.sampled(2)
 def test_a_filter_ends_where_the_fit_of_all_measurements_does(folder, batch, plugin, tmp_path, caplog):
     assert follow(folder, tmp_path, "start=fit", "fitted=30", f"plugins={plugin}") == 0
     state, covariance, orbit = last_of(tmp_path / "track.oem")
