@@ -64,7 +64,7 @@ def innovations(record: AssimilationRecord, space: Space, units: Mapping[str, st
 
 
 def consistency(record: AssimilationRecord, space: Space) -> Figure:
-    """Plot the moving mean NIS of accepted readings per measured value, with its 95 % band."""
+    """Plot the moving mean over accepted readings of the NIS per measured value, and its 95 % band."""
     time, unit = _time(record, space)
     figure = style.canvas(8, 4)
     axes = figure.subplots()

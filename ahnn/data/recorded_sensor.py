@@ -1,4 +1,4 @@
-"""Sensor of recorded measurements, instead of simulated ones."""
+"""Sensor that supplies recorded measurements instead of simulating them."""
 
 from __future__ import annotations
 

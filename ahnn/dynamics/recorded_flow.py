@@ -164,7 +164,9 @@ def of_parameters(dynamics: Dynamics) -> Callable[[Tensor, Tensor, Tensor], Tens
 
 def _record(function: Callable[..., Tensor], *example: Tensor) -> Callable[..., Tensor]:
     with torch.inference_mode(mode=False), torch.no_grad(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # deprecated for deployment; no operation here depends on data
+        warnings.simplefilter(
+            "ignore"
+        )  # deprecated for deployment only; no control flow here depends on values
         trace: Any = torch.jit.trace
         known = trace(function, tuple(t.clone() for t in example), check_trace=False)
         for _ in range(SETTLED):

@@ -80,7 +80,7 @@ class Explained(NamedTuple):
 
 
 def trial_of(dynamics: nn.Module, robust: Robust = ROBUST["none"]) -> Trial:
-    """Return float64 dynamics with a method `increment`, for comparison with measurements."""
+    """Return the trial of float64 dynamics that have a method `increment`."""
     increment = cast(Any, dynamics).increment
     known = isinstance(dynamics, Dynamics)
     jacobians = own_jacobians(dynamics) if known else partial(step_jacobians, increment)

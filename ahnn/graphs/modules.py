@@ -75,8 +75,8 @@ def modules(dynamics: Dynamics, dt: float) -> dict[str, nn.Module]:
         raise UserError(message)
     if isinstance(dynamics, LagrangianDynamics):
         message = (
-            "export: expected dynamics with a graph; received a Lagrangian network, whose second derivatives "
-            "are taken by reverse mode. Use model=hnn"
+            "export: expected dynamics that can be exported as a graph; received a Lagrangian network, whose "
+            "second derivatives require reverse-mode differentiation. Use model=hnn"
         )
         raise UserError(message)
     own = portable(dynamics)

@@ -55,7 +55,7 @@ class PlanRequest:
 
 
 class PlannedSensor(NamedTuple):
-    """A sensor that can measure.
+    """A sensor that a plan may use.
 
     Attributes:
         name: name of the station, or `fix`.

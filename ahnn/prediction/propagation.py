@@ -1,4 +1,4 @@
-"""Propagation of starts to given times, with covariance and novelty.
+"""Propagation of initial states to given times, with covariance and novelty.
 
 The covariance follows `ahnn.uncertainty.rollout_covariances`, includes the uncertainty of the start, and is
 propagated in segments so that any duration fits into memory. Outside the training data, the sensitivity of

@@ -63,7 +63,7 @@ def seen(x: Tensor, system: ChainPendulum) -> Tensor:
 
 
 def draw(k: int, *, links: int) -> Draw:
-    """Draw chunks of trajectories of one chain of random masses and lengths, at random times."""
+    """Draw segments, at random times, from trajectories of a chain with random masses and lengths."""
     generator = numbers(k)
     masses, lengths = generator.uniform(0.6, 1.4, (2, links))
     system = ChainPendulum(

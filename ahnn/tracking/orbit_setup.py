@@ -183,7 +183,8 @@ def setup_of(values: Mapping[str, Any]) -> OrbitSetup:
     for name in ("radiation_pressure", "drag"):
         one = getattr(forces, name)
         if one is not None and (one.sd < 0 or math.isnan(one.sd)):
-            message = f"forces.{name}.sd: expected 0 (kept), a standard deviation or .inf; received {one.sd}"
+            expected = "0 (fixed), a standard deviation > 0 or .inf (free)"
+            message = f"forces.{name}.sd: expected {expected}; received {one.sd}"
             raise UserError(message)
     if (setup.stations is None) == (setup.sinex is None):
         message = "stations: expected coordinates under `stations`, or files under `sinex`; received "

@@ -22,7 +22,7 @@ class Stepper(Protocol):
     """Protocol of an optimiser step.
 
     Attributes:
-        automatic: whether the trainer takes the step from the gradient of the result of `step`.
+        automatic: whether `step` only returns a loss, and the trainer takes the gradient step.
     """
 
     automatic: bool

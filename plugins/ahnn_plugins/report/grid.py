@@ -1,4 +1,4 @@
-"""Tables as data, independent of HTML and LaTeX, and number formats."""
+"""Number formats, and tables as data, independent of HTML and LaTeX."""
 
 from __future__ import annotations
 
