@@ -141,7 +141,9 @@ def test_a_gradient_form_has_no_shears_and_a_lagrangian_no_graph():
     with pytest.raises(UserError, match="shears: expected none with form=G"):
         made("sympnet", shears=3)
     options = {"inertia": 1.0, "scaling": "none", "network": NETWORK, "integrator": {"name": "rk4"}}
-    with pytest.raises(UserError, match="export: expected dynamics that can be exported as a graph; received a Lagr"):
+    with pytest.raises(
+        UserError, match="export: expected dynamics that can be exported as a graph; received a Lagr"
+    ):
         modules(make_dynamics("lagrangian", dof=1, **options), 0.1)
 
 
