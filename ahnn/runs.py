@@ -226,7 +226,7 @@ class Run:
         clock = clock_of_samples(self.dynamics, times, controls, len(x), linear=linear)
         found = predicted(self._exact, x.double(), times, self.dt, known, description, clock)
         if self._asked(x):
-            each = times.diff().expand(len(x), -1)
+            each = times.diff().to(x).expand(len(x), -1)
             path = rollout(self.dynamics, x, each, len(times), longest=self.dt, gradients=True, clock=clock)
             found = found._replace(states=path.double())
         return found

@@ -179,9 +179,10 @@ class Trajectories(NamedTuple):
         return self.states.isfinite().all(-1) & self.times.isfinite()
 
     def part(self, rows: slice) -> Trajectories:
-        """Return selected trajectories."""
+        """Return selected trajectories; times (T,) are those of all."""
         controls = None if self.controls is None else self.controls[rows]
-        return self._replace(states=self.states[rows], times=self.times[rows], controls=controls)
+        times = self.times[rows] if self.times.ndim > 1 else self.times
+        return self._replace(states=self.states[rows], times=times, controls=controls)
 
     def parts(self) -> Iterator[Trajectories]:
         """Yield all trajectories in order, in batches of at most `PART` bytes."""

@@ -9,11 +9,13 @@ Weights are new, of torch's default dtype; `double`, `to`, `state_dict` and `tor
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from inspect import signature
 from typing import Any, Literal, cast
 
 import torch
 
-from ahnn.arguments import Count, Positive, checked
+from ahnn.arguments import Count, Positive, checked, nearest
 from ahnn.dynamics import Dynamics, HamiltonianDynamics, NeuralDynamics, make_dynamics
 from ahnn.dynamics.activations import ActivationName
 from ahnn.dynamics.hamiltonians import Structure
@@ -76,6 +78,7 @@ def Hamiltonian(
     """
     own = {"inertia": inertia, "hamiltonian": structure, "inputs": inputs, "scaling": scaling}
     own |= {"network": _network(hidden, depth, activation), "integrator": {"name": integrator}}
+    _require(Hamiltonian, options, ("mu", "falloff", "dimensions", "angular", "forces", "controls"))
     made = make_dynamics("hamiltonian", dof=dof, **own, **{"mu": None, **options})
     return cast(HamiltonianDynamics, _scaled(made, dof, data))
 
@@ -172,12 +175,21 @@ def FlowMap(
     if dt is None and data is None:
         message = "FlowMap: expected the step of the map as dt, or data to take it from; received neither"
         raise UserError(message)
+    _require(FlowMap, options, (*OF_KIND[kind], *("shears",) * (kind == "sympnet")))
     network = _network(hidden, depth, activation)
     new = make_dynamics(kind, dof=dof, network=network, **{**OF_KIND[kind], **options})
     made = cast(StepMap, _scaled(new, dof, data))
     if dt is not None:
         made.dt.fill_(dt)
     return made
+
+
+def _require(call: Callable[..., Any], options: dict[str, Any], further: Sequence[str]) -> None:
+    """Raise UserError for an option that a call does not take, neither by itself nor further ones."""
+    known = [name for name in signature(call).parameters if name != "options"] + [*further]
+    if unknown := [name for name in options if name not in further]:
+        message = f"{call.__name__}: unknown option {unknown[0]!r}{nearest(unknown[0], known)}"
+        raise UserError(message)
 
 
 def _network(hidden: int, depth: int, activation: str) -> dict[str, Any]:

@@ -165,7 +165,7 @@ HUBER = ("loss.robust=huber", "recipe=measurements", "hamiltonian=mechanical")
 @pytest.mark.parametrize(
     ("overrides", "expected"),
     [
-        ([], "data.noise: expected, with sensor=recorded, the standard deviations of the measurements"),
+        ([], "data.noise: expected the standard deviations of the measurements"),
         (["data.noise=0.01"], "Use hamiltonian=mechanical or central_body"),
         (["data.noise=0.01", "recipe=measurements"], "Use hamiltonian=mechanical or central_body"),
         (["data.noise=0.01", "data.measured=state", "recipe=measurements"], "received only positions"),

@@ -60,6 +60,11 @@ def weights(folder: Path, name: str):
     return read_checkpoint(folder / "checkpoints" / f"{name}.ckpt")["state_dict"]
 
 
+def seconds(folder: Path) -> float:
+    """The duration of the training up to the last checkpoint."""
+    return read_checkpoint(folder / "checkpoints" / "last.ckpt")["callbacks"]["TrainingTime"]["seconds"]
+
+
 def assert_same_bits(a: Path, b: Path, names: tuple[str, ...] = ("last", "best")) -> None:
     for name in names:
         one, other = weights(a, name), weights(b, name)
@@ -98,8 +103,10 @@ def test_a_cut_training_ends_with_the_same_bits(uninterrupted, tmp_path, cut):
     with pytest.raises(Interrupted):
         trained(often, folder, callbacks=callbacks)
     assert read_checkpoint(folder / "checkpoints" / "last.ckpt")["global_step"] == RESUMES_FROM[cut]
+    before = seconds(folder)
     trained(often, folder, ckpt="last")
     assert_same_bits(whole, folder)
+    assert seconds(folder) > before > 0.0
 
 
 def test_a_killed_training_ends_with_the_same_bits(tmp_path):

@@ -161,7 +161,15 @@ WRONG = {
     "no degree": (lambda: ahnn.Hamiltonian(dof=0), "dof: expected int >= 1; received 0"),
     "text": (lambda: ahnn.NeuralODE(dof="2"), "dof: expected int >= 1; received '2'"),
     "structure": (lambda: ahnn.Hamiltonian(2, structure="x"), "structure: expected one of generic, .*'x'"),
-    "option": (lambda: ahnn.Hamiltonian(2, mass=1.0), "unknown key 'mass'"),
+    "option": (
+        lambda: ahnn.Hamiltonian(2, mass=1.0),
+        "Hamiltonian: unknown option 'mass'.* takes dof, hidden",
+    ),
+    "option of another kind": (
+        lambda: ahnn.FlowMap(2, dt=0.1, kind="map", layers=3),
+        "FlowMap: unknown option 'layers'.*residual$",
+    ),
+    "angles": (lambda: ahnn.Hamiltonian(2, inputs="angles"), r"set angular, such as \[True, False\]"),
     "integrator": (lambda: ahnn.NeuralODE(2, integrator="rk5"), "'rk5'; did you mean rk4?"),
     "leapfrog": (lambda: ahnn.Hamiltonian(2, integrator="leapfrog"), "expected a separable Hamiltonian"),
     "masses": (lambda: ahnn.Lagrangian(2, inertia=[1.0] * 3), "inertia: expected one mass, or 2"),
@@ -187,9 +195,49 @@ def test_wrong_arguments_are_one_message(wrong):
         call_it()
 
 
-def test_an_argument_is_given_once():
-    with pytest.raises(TypeError, match="multiple values for keyword argument 'hamiltonian'"):
-        ahnn.Hamiltonian(2, hamiltonian="separable")
+@pytest.mark.parametrize("option", ["hamiltonian", "network"])
+def test_an_argument_has_one_name(option):
+    with pytest.raises(UserError, match=f"Hamiltonian: unknown option '{option}'.* takes .*structure"):
+        ahnn.Hamiltonian(2, **{option: "separable"})
+
+
+PATHS = {
+    "one state": (START[0], 3, 0.1),
+    "three axes": (START[None], 3, 0.1),
+    "list": (START.tolist(), 3, 0.1),
+    "swapped": (START, 0.1, 3),
+    "lengths of members": (START, 3, torch.full((3,), 0.1)),
+    "lengths of a column": (START, 3, torch.full((3, 1), 0.1)),
+}
+
+
+@pytest.mark.parametrize("wrong", PATHS)
+def test_a_rollout_of_another_shape_is_refused(wrong):
+    with pytest.raises(UserError, match=r"rollout: expected states \(B, D\), a number of steps.*; received "):
+        ahnn.NeuralODE(2, 8).double().rollout(*PATHS[wrong])
+
+
+class Shear(ahnn.dynamics.Dynamics):
+    """A map of another package, which has one step and does not check it."""
+
+    assumes = "a shear"
+    own_step = 0.1
+
+    def fit(self, statistics):
+        """Set nothing."""
+
+    def increment(self, x, dt):
+        """Return the same for every step."""
+        del dt
+        return torch.cat((torch.zeros_like(x[:, :1]), 0.1 * x[:, :1]), -1)
+
+
+@pytest.mark.parametrize("dt", [0.05, torch.tensor([0.1, 0.05])])
+def test_a_map_of_another_package_takes_its_own_step_alone(dt):
+    x = torch.ones(2, 2)
+    assert torch.equal(Shear()(x, 0.1), torch.tensor([[1.0, 1.1]] * 2))
+    with pytest.raises(UserError, match=r"expected the step of its training, 0\.1; received"):
+        Shear()(x, dt)
 
 
 SPACE = ahnn.Space("particle", ("q", "p"), inertia=2.0)

@@ -95,8 +95,8 @@ def build_recorded(options: dict[str, Any], source: Recordings | Observed) -> Re
     if noise is None or (source.positions_only and measured == "state"):
         known = "only positions" if source.positions_only else f"data.measured={measured}"
         message = (
-            "data.noise: expected, with sensor=recorded, the standard deviations of the measurements, and a "
-            "model with known kinetic energy if only positions are measured, such as hamiltonian=mechanical; "
+            "data.noise: expected the standard deviations of the measurements and, if only positions are "
+            "measured, a model with known kinetic energy, such as hamiltonian=mechanical; "
             f"received {known}, data.noise={noise}"
         )
         raise UserError(message)

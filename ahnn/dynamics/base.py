@@ -44,6 +44,11 @@ class Dynamics(nn.Module, ABC):
         """The fixed step of a map; None for dynamics that accept any step."""
         return None
 
+    def require(self, dt: TimeStep) -> None:
+        """Raise UserError for a step other than the fixed step of a map."""
+        if not torch.compiler.is_exporting() and (step := self.own_step) is not None:  # a graph has one step
+            require_step(step, dt)
+
     @abstractmethod
     def fit(self, statistics: Statistics) -> None:
         """Set scalings and units from the training split."""
@@ -60,8 +65,9 @@ class Dynamics(nn.Module, ABC):
         """Propagate states x, shape (B, D), over dt, a number or (B,); return (B, D).
 
         Raises:
-            UserError: other than a tensor of states along the last axis.
+            UserError: other than a tensor of states along the last axis, or another step than that of a map.
         """
+        self.require(dt)
         dof = getattr(self, "spec", {}).get("dof")
         allowed = ((2 * dof,), (2 * (dof + self.clock),)) if dof else ()  # the field reports a missing time
         if not isinstance(x, Tensor) or (dof and x.shape[-1:] not in allowed):
@@ -81,7 +87,17 @@ class Dynamics(nn.Module, ABC):
             start: (B, D) states.
             steps: number of steps.
             dt: step length, or (B, steps) step lengths.
+
+        Raises:
+            UserError: another shape.
         """
+        shapes = ((), (len(start), steps)) if isinstance(start, Tensor) and start.ndim == 2 else ()
+        if not isinstance(steps, int) or getattr(dt, "shape", ()) not in shapes:
+            message = (
+                "rollout: expected states (B, D), a number of steps, and their length or lengths (B, steps); "
+                f"received {described(start)}, {steps!r} and {described(dt)}"
+            )
+            raise UserError(message)
         return rollout(self, start, dt, steps + 1, gradients=torch.is_grad_enabled())
 
     def __repr__(self) -> str:
@@ -93,6 +109,18 @@ class Dynamics(nn.Module, ABC):
     def frozen(self) -> Dynamics:
         """Return a float64 copy without gradients, for evaluation and filters."""
         return copy.deepcopy(self).double().eval().requires_grad_(False)
+
+
+def require_step(step: float, dt: TimeStep) -> None:
+    """Raise UserError for steps other than the training step of a map, which is not continuous in time."""
+    off = float((dt - step).abs().max()) if isinstance(dt, Tensor) else abs(dt - step)
+    if not off <= 1e-6 * step:
+        received = "steps that differ" if isinstance(dt, Tensor) else f"{dt:.6g}"
+        message = (
+            f"model: expected the step of its training, {step:.6g}; received {received}. A map has no time "
+            "axis: use node, hnn or ahnn for other steps"
+        )
+        raise UserError(message)
 
 
 class HasField(Protocol):

@@ -253,7 +253,8 @@ def position_inputs(name: InputName, dof: int, scaling: Kind, angular: list[bool
         if not angular or len(angular) != dof or not any(angular):
             message = (
                 f"inputs angles: expected coordinates that are angles, in rad; received {angular}. All "
-                "coordinates are angles if their unit is rad, otherwise only those in `Space.angles`"
+                "coordinates are angles if their unit is rad, otherwise only those in `Space.angles`. "
+                "Without a Space, set angular, such as [True, False]"
             )
             raise UserError(message)
         return Angles(angular, scaling)

@@ -18,14 +18,13 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from ahnn.clock import split
 from ahnn.cores import each, slices
-from ahnn.dynamics.base import Dynamics
+from ahnn.dynamics.base import Dynamics, require_step
 from ahnn.dynamics.derivatives import parametrised
 from ahnn.dynamics.energies import Energy
 from ahnn.dynamics.fields import HamiltonianDynamics
 from ahnn.dynamics.forced import Forced, total
 from ahnn.dynamics.forces import Instant
 from ahnn.dynamics.hamiltonians import GenericHamiltonian, SeparableHamiltonian
-from ahnn.dynamics.step_map import require_step
 from ahnn.integrators import ExplicitRungeKutta, SymmetricComposition
 from ahnn.jacobians import step_jacobians
 from ahnn.types import VectorField

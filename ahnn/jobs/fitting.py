@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import time
 
 from ahnn.checkpoints import read_checkpoint, require_same
 from ahnn.files import write_atomically
@@ -13,6 +12,7 @@ from ahnn.jobs.prepared import Prepared
 from ahnn.loading import load
 from ahnn.models import AbstractModel
 from ahnn.progress import stage
+from ahnn.training.callbacks.training_time import timed_fit
 from ahnn.training.cuda_graph import RecordedStep, can_record
 from ahnn.training.runtime_estimate import expected_seconds
 from ahnn.uncertainty import find_domain
@@ -21,7 +21,7 @@ log = logging.getLogger("ahnn")
 
 
 def fit(prepared: Prepared) -> float:
-    """Train and return the duration of the steps in seconds."""
+    """Train and return the duration of all steps in seconds, also of those before a resumption."""
     trainer = prepared.trainer
     calibrate(prepared)
     if prepared.model.dynamics.begins_known and prepared.checkpoint is None:
@@ -30,9 +30,7 @@ def fit(prepared: Prepared) -> float:
         announce(prepared)
         # Keys without any effect have been rejected before.
         write_atomically(prepared.folder / "config.yaml", prepared.config)
-    started = time.monotonic()
-    trainer.fit(prepared.model, prepared.data, ckpt_path=prepared.checkpoint)
-    return time.monotonic() - started
+    return timed_fit(trainer, prepared.model, prepared.data, ckpt_path=prepared.checkpoint)
 
 
 def calibrate(prepared: Prepared) -> None:

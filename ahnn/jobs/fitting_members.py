@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from ahnn.jobs.closing import judge
 from ahnn.jobs.fitting import calibrate
 from ahnn.jobs.prepared import Prepared
 from ahnn.models import EnsembleModel
+from ahnn.training.callbacks.training_time import timed_fit
 
 log = logging.getLogger("ahnn")
 
@@ -42,7 +42,7 @@ class PreparedEnsemble:
 
 
 def fit_ensemble(prepared: PreparedEnsemble) -> float:
-    """Train all members and return the duration of the steps in seconds."""
+    """Train all members and return the duration of all steps in seconds; see `ahnn.jobs.fitting.fit`."""
     trainer, first = prepared.trainer, prepared.members[0]
     calibrate_all(prepared)
     if first.model.dynamics.begins_known and prepared.checkpoint is None:
@@ -52,9 +52,7 @@ def fit_ensemble(prepared: PreparedEnsemble) -> float:
     for member in prepared.members:
         member.folder.mkdir(exist_ok=True)
         write_atomically(member.folder / "config.yaml", member.config)
-    started = time.monotonic()
-    trainer.fit(prepared.model, first.data, ckpt_path=prepared.checkpoint)
-    return time.monotonic() - started
+    return timed_fit(trainer, prepared.model, first.data, ckpt_path=prepared.checkpoint)
 
 
 def calibrate_all(prepared: PreparedEnsemble) -> None:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from contextlib import nullcontext
 
+import numpy as np
 import pytest
 import torch
 
 from ahnn.data.in_memory import check_trajectories, content_of
 from ahnn.data.sources import Given
 from ahnn.errors import UserError
+from ahnn.stored import about_space
 from ahnn.types import Space, Trajectories, Units
 
 SPACE = Space("mine", ("x", "y", "px", "py"))
@@ -166,3 +168,17 @@ def test_the_same_trajectory_twice_is_refused_unless_it_is_asked_for():
     ):
         Given(given, SPACE).check()
     Given(given, SPACE, unsound=True).check()
+
+
+def test_a_part_of_trajectories_with_common_times_keeps_all_times():
+    data = Trajectories(torch.ones(3, 4, 2), torch.arange(4.0))
+    part = data.part(slice(0, 2))
+    assert part.states.shape == (2, 4, 2)
+    assert torch.equal(part.times, data.times)
+
+
+def test_masses_may_be_numbers_of_numpy():
+    about = about_space(SPACE._replace(inertia=np.float64(1.5)))
+    assert type(about["inertia"]) is float
+    about = about_space(Space("two", ("x", "y", "p", "r"), inertia=tuple(np.array([1.0, 2.0]))))
+    assert [type(one) for one in about["inertia"]] == [float, float]

@@ -12,7 +12,7 @@ from helpers import MOLNIYA, SPRING, batch_of, close, data_module, defaults, rea
 from ahnn.checkpoints import read_weights
 from ahnn.cli.preflight import quiet
 from ahnn.dynamics import Dynamics
-from ahnn.dynamics.step_map import require_step
+from ahnn.dynamics.base import require_step
 from ahnn.errors import UserError
 from ahnn.loading import made
 from ahnn.models import AHNN, MLP, NODE, AbstractModel

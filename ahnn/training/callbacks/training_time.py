@@ -1,0 +1,40 @@
+"""Duration of a training, including the parts before it was resumed."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from lightning import Callback, LightningModule, Trainer
+
+
+class TrainingTime(Callback):
+    """Clock of the fit, kept in checkpoints."""
+
+    def __init__(self) -> None:
+        self.before, self.begun = 0.0, time.monotonic()
+
+    @property
+    def seconds(self) -> float:
+        """Seconds of the fit so far, over all processes that continued it."""
+        return self.before + time.monotonic() - self.begun
+
+    def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:  # noqa: ARG002
+        """Start the clock."""
+        self.begun = time.monotonic()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the seconds so far."""
+        return {"seconds": self.seconds}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Continue from the seconds of a checkpoint."""
+        self.before = float(state_dict["seconds"])
+
+
+def timed_fit(trainer: Trainer, *arguments: Any, **options: Any) -> float:
+    """Call `trainer.fit`; return the seconds of the training, also of the parts before it was resumed."""
+    clock = TrainingTime()
+    trainer.callbacks.insert(0, clock)  # pyright: ignore[reportAttributeAccessIssue] - not in Lightning's types
+    trainer.fit(*arguments, **options)
+    return clock.seconds
