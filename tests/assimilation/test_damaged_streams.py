@@ -73,7 +73,7 @@ def test_a_size_of_zero_or_any_other_never_cuts_rows_that_the_state_counts(names
     whole = len(names[0].read_bytes())
     for size in (0, 1, whole - 1, whole - 60):
         changed(names[1], size=size)
-        refused(names, "output: expected .* unchanged, .* a changed file. Start over")
+        refused(names, "output: expected .* unchanged bytes, .* a changed file. Start over")
 
 
 @pytest.mark.parametrize("kind", ["csv", "json"])
@@ -102,7 +102,7 @@ def test_a_file_in_the_place_of_an_output_that_had_not_begun_stays(tmp_path):
 
 def test_an_output_that_is_gone_is_not_begun_in_the_middle(names):
     names[0].unlink()
-    refused(names, "output: expected .* unchanged; received none")
+    refused(names, "output: expected .* unchanged; received no file")
 
 
 def test_rows_of_another_kind_do_not_follow(names):

@@ -129,5 +129,5 @@ def test_standard_deviations_of_one_of_several_of_a_kind_are_those_of_each():
 
 
 def test_tails_and_correlation_are_not_estimated_together():
-    with pytest.raises(UserError, match=r"data.tails: expected data.correlation=null with it"):
+    with pytest.raises(UserError, match=r"data.tails: expected data.correlation=null; received"):
         sensor(tails="estimate", correlation="estimate")

@@ -54,5 +54,5 @@ def test_sensitivities_are_differences():
 
 
 def test_a_path_into_the_centre_is_no_path():
-    with pytest.raises(TrainingError, match="orbit: the integration from 0 s stops"):
+    with pytest.raises(TrainingError, match="orbit: the integration from 0 s stopped"):
         satellite_arc(Forces([PointMass()]), np.array([7000.0, 0, 0, 0, 0, 0]), np.empty(0), 0.0, 0.0, 9000.0)

@@ -123,7 +123,9 @@ def test_paths_that_leave_all_numbers_are_left_out():
     expected = filtered_directions(Swing(), FACTOR, kept, 2).directions
     close(filtered_directions(Swing(), FACTOR, lost, 2).directions, expected, 1e-6)
     none = lost._replace(start=lost.start[-1:], segment=more.segment.rows(slice(ROWS, None)))
-    with pytest.raises(UserError, match="expected a model whose paths stay finite"):
+    with pytest.raises(
+        UserError, match="expected a model whose trajectories from the training states stay finite"
+    ):
         filtered_directions(Swing(), FACTOR, none, 2)
 
 
