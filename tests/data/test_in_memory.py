@@ -130,9 +130,9 @@ def changed(place, value, of=TIMES):
         ({"times": changed((0, 0), torch.nan)}, "received NaN before a time"),
         ({"space": "mine"}, r"space: expected ahnn.Space\(name, components\); received str"),
         ({"space": SPACE._replace(components=("x", "y", "x", "py"))}, "different names; received 'x' twice"),
-        ({"space": SPACE._replace(components=("x", "", "px", "py"))}, "can be printed.*received ''"),
+        ({"space": SPACE._replace(components=("x", "", "px", "py"))}, "printable names.*received ''"),
         ({"space": SPACE._replace(components="xyuv")}, "components: expected a list of str"),
-        ({"space": SPACE._replace(name="a\nb")}, "can be printed"),
+        ({"space": SPACE._replace(name="a\nb")}, "printable names"),
         ({"space": SPACE._replace(name="${oc.env:HOME}")}, "without \\$"),
         ({"space": SPACE._replace(units=("s", "m"))}, r"space.units: expected ahnn.Units\(...\)"),
         (
