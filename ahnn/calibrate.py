@@ -18,7 +18,7 @@ from ahnn.cli.importing import importing
 
 
 def calibrate(arguments: list[str]) -> None:
-    """Train on the draws of a command line, and test them; raises the errors of `cli.calibrating`."""
+    """Train on the requested draws, and test the runs; raises the errors of `cli.calibrating`."""
     with importing():
         from ahnn.cli import calibrating
 

@@ -1,6 +1,6 @@
 """Reproduce the paper's tables: `python -m ahnn.reproduce system=mass_spring budget=laptop`.
 
-MLP, NODE, HNN, AHNN3 and AHNN5 with the seeds 7, 201 and 719, each without and with the unscented Kalman
+MLP, NODE, HNN, AHNN3 and AHNN5 with the seeds 7, 201 and 719, each with and without the unscented Kalman
 filter, from the true and from a perturbed start: 15 training runs with equal numbers of steps, each in its
 own folder, and a table. Repeat the command to resume after an interruption.
 

@@ -129,6 +129,6 @@ def read_about(who: str, content: Any) -> tuple[About, Space]:
 def about_space(space: Space) -> dict[str, Any]:
     """Return a space as plain values, as `read_about` reads them."""
     own = {k: [*v] if isinstance(v, tuple) else v for k, v in space._asdict().items()}
-    masses = own["inertia"]  # perhaps numbers of NumPy
+    masses = own["inertia"]  # may be NumPy scalars
     own["inertia"] = [float(m) for m in masses] if isinstance(masses, list) else float(masses)
     return {k: v for k, v in own.items() if k not in ("controls", "angles") or v}

@@ -163,11 +163,11 @@ def FlowMap(
         dof: degrees of freedom n.
         hidden: units of each hidden layer.
         dt: step of the map; by default the sampling interval of the data.
-        kind: sympnet, henon_net or generalised_hnn, symplectic for any weights, or map, a plain network.
+        kind: sympnet, henon_net or generalised_hnn (symplectic for any weights), or map (a plain network).
         depth: number of hidden layers; modules of a sympnet have one.
         activation: gelu, tanh, silu or sine.
         data: trajectories that set scales and units.
-        options: further options of the kind: scaling, layers; form and shears of a sympnet; residual of map.
+        options: scaling and layers; form and shears for a sympnet; scaling and residual for map.
 
     Raises:
         UserError: the errors of `Hamiltonian`, or neither a step nor data.

@@ -86,7 +86,7 @@ def connected(cpus: int, **options: Any) -> Any:
             ray.init(**given)
     except ConnectionError as error:
         said = " ".join(str(error).split())
-        message = f"workers: expected the Ray cluster of RAY_ADDRESS or of ray start; received: {said}"
+        message = f"workers: expected a Ray cluster at RAY_ADDRESS or from `ray start`; received: {said}"
         raise UserError(message) from error
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, handler)  # Ray replaced it by one without a message

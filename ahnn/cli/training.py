@@ -73,7 +73,8 @@ train.check = check  # pyright: ignore[reportFunctionMemberAccess] - the sweeper
 def train_once(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] | None = None) -> float:
     """Train and evaluate once; return the best validation loss, the objective of a search.
 
-    With several devices the first evaluates and writes; the other processes return NaN, which is ignored.
+    With several devices the first process evaluates and writes the results; the others return NaN, which is
+    ignored.
 
     Args:
         cfg: configuration of one job.

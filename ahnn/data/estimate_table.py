@@ -64,7 +64,7 @@ def last_estimate(path: Path, space: Space) -> Last:
     try:
         for row in rows_of(path):  # noqa: B007 - only the last one is used
             pass
-        if names[-1] not in row:  # before 0.3 velocities were written as momenta
+        if names[-1] not in row:  # versions before 0.3 wrote momenta
             names, scales = space.components, torch.ones_like(scales)
         time, mean = float(row["time"]), [float(row[name]) for name in names]
         for i, j in lower:

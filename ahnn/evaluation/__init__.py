@@ -1,6 +1,6 @@
 """Evaluation of a trained model: rollouts of unseen trajectories, floors, rows, results, sinks.
 
-A `Case` is the input of an evaluation. `report` evaluates and writes; `evaluate` only returns findings. Every
+A `Case` is the input of an evaluation. `report` writes the findings; `evaluate` only returns them. Every
 row has an identity, `Who`, and every sink receives the same `Results`, which `load_results` reads back.
 """
 

@@ -1,4 +1,4 @@
-"""Findings of the data doctor, as a table of 80 columns."""
+"""Findings of the data doctor, as a table 80 characters wide."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def checkup(found: Examined) -> RenderableType:
 
 
 def listed(findings: list[Finding]) -> RenderableType:
-    """Format findings as a table of 80 columns, faults first."""
+    """Format findings as a table 80 characters wide, faults first."""
     table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
     for name, width in (("", 7), ("file", 12), ("row", 6), ("column", 6), ("what", 24), ("what to do", 20)):
         table.add_column(name, width=width, overflow="fold", justify="right" if name == "row" else "left")

@@ -1,4 +1,4 @@
-"""Score table of 80 columns: model and floor in adjacent columns, notes below."""
+"""Score table 80 characters wide: model and floor in adjacent columns, notes below."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Table of mean and spread over seeds for several models, 80 columns."""
+"""Table of mean and spread over seeds for several models, 80 characters wide."""
 
 from __future__ import annotations
 

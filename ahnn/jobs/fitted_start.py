@@ -105,7 +105,7 @@ def fitted_start(
     size = len(run.space.components)
     if int(segment.measured) < size or segment.times.shape[1] < 2:
         message = f"start: expected {size} values or more, at two times or more; received {len(lines)} "
-        raise UserError(message + "measurements. Fit more with fitted=N, or give start=")
+        raise UserError(message + "measurements. Fit more with fitted=N, or set start=")
     best = best_fit(run, segment)
     outliers, last = int(segment.measured - best.segment.measured), best.path.states[:, -1]
     chi_square = float(best.path.sums) / max(int(best.segment.measured) - size, 1)
@@ -113,7 +113,7 @@ def fitted_start(
     if not (chi_square <= LOST and outliers <= MOST * int(segment.measured)):
         message = (
             f"start: expected a state that fits the first {len(lines)} measurements; received none: {told}. "
-            "Fit fewer with fitted=N, or give start="
+            "Fit fewer with fitted=N, or set start="
         )
         raise TrainingError(message)
     covariance = max(1.0, chi_square) * covariance_of(run, best, bias_sd)
@@ -248,8 +248,8 @@ def covariance_of(run: Run, best: BestFit, bias_sd: Tensor) -> Tensor:
     if not bool((scale > 0).all()) or values[-1] < UNSEEN * values[0]:
         message = (
             f"start: expected measurements that determine {len(scale)} components; received "
-            f"{int(segment.measured)} numbers, which leave some undetermined. Fit more, fitted=N, or give "
-            "start="
+            f"{int(segment.measured)} numbers, which leave some undetermined. Fit more with fitted=N, or "
+            "set start="
         )
         raise UserError(message)
     count = sum(parameter.numel() for parameter in run.dynamics.parameters())

@@ -1,4 +1,4 @@
-"""Table of own and published scores of a task, 80 columns."""
+"""Table of own and published scores of a task, 80 characters wide."""
 
 from __future__ import annotations
 

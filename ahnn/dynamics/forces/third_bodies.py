@@ -76,7 +76,7 @@ class ThirdBodies(Force):
         self.assumes = f"known {', '.join(bodies)}"
         self.begin, self.spacing, self.own = span[0] - MARGIN * spacing, spacing, own
         self.nodes = int((span[1] - span[0]) / spacing) + 2 * MARGIN + 2
-        # No buffers: they keep all their digits in any precision of the weights.
+        # Not buffers: the nodes remain float64, whatever the precision of the weights.
         times = np.asarray((self.begin + spacing * np.arange(self.nodes)) / day, dtype=np.float64)
         ephemeris = opened([center, *bodies], epoch, times)
         unit = (ephemeris.AU / length) ** 3 / day**2

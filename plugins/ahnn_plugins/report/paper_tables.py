@@ -42,7 +42,7 @@ def is_of_paper(board: Board) -> bool:
 
 
 def rmse_table(board: Board) -> Grid:
-    """Build Table 1 or 2: rows of models without and with the filter, columns of starts and quantities."""
+    """Build Table 1 or 2: rows of models with and without the filter, columns of starts and quantities."""
     layout = LAYOUTS[board.system]
     columns: list[tuple[Start, str]] = [(s, quantity) for s in STARTS for quantity in layout.units]
     doubts = _doubts(board, columns)

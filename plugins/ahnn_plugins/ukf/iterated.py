@@ -154,7 +154,7 @@ def _of(smoothed: SmootherResult, rows: Tensor) -> SmootherResult:
 
 
 def _chosen(better: Tensor, yes: SmootherResult, no: SmootherResult) -> SmootherResult:
-    """Select moments member by member, better (B,) bool; status and repairs are taken from `no`."""
+    """Select moments per member according to `better`, (B,) bool; status and repairs are taken from `no`."""
     column = better[:, None, None]
     return no._replace(
         initial=choose(better, yes.initial, no.initial),

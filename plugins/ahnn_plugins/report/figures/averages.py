@@ -1,4 +1,4 @@
-"""Moving averages of errors over all test trajectories, without and with a filter."""
+"""Moving averages of errors over all test trajectories, with and without a filter."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PAPER = {
 
 
 def average_drawings(task: Task) -> list[Drawing]:
-    """Plot moving averages from every start without and with a filter, also by component.
+    """Plot moving averages of errors from every start, with and without a filter, also by component.
 
     For a single run the unsmoothed errors are also shown.
     """

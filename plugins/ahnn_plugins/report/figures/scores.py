@@ -21,7 +21,7 @@ from ahnn_plugins.report.scores import plain_filter
 Quantity = Literal["position", "velocity", "energy"]
 
 BESIDE = 0.17
-"""Horizontal offsets of a model without and with filter."""
+"""Horizontal offsets of a model without a filter and with one."""
 SIDES = "Left: without measurements; right: with the filter. "
 SPREAD = "Dots: means over seeds; lines: ± standard deviation, as in the tables."
 MEANING = "RMSE: mean over test trajectories of the rms vector norm; floor: score of the exact equations."
