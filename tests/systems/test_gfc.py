@@ -197,7 +197,7 @@ def test_other_bodies_are_read_and_small_ones_reported(parsed, caplog):
     assert caplog.messages == []
     eros = parsed(SMALL.replace("0.3986004415E+15", "4.463E+05").replace("6378136.3", "16000"))
     assert eros.radius == 16.0
-    assert "radius 16000 m" in caplog.text
+    assert "a radius of 16000 m" in caplog.text
 
 
 @pytest.mark.parametrize(
