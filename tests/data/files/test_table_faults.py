@@ -161,6 +161,15 @@ def test_a_hundred_faults_in_random_cells_are_found_where_they_are(tmp_path):
         assert f"data.csv, row {row + 2}{place}: expected" in said
 
 
+def test_decimal_commas_are_one_fault(tmp_path):
+    path = tmp_path / "data.csv"
+    path.write_text("t;x\n0,0;1,5\n1,0;-2,5e-3\n")
+    with pytest.raises(Fault) as caught:
+        said(path)
+    expected = "row 2, column t: expected a number with a decimal point; received '0,0', with a decimal comma. "
+    assert str(caught.value).endswith(f"{expected}Write a point in place of each decimal comma of the file")
+
+
 @pytest.mark.parametrize("binary", [False, True], ids=["text", "parquet"])
 def test_numbers_count_up_to_those_whose_squares_are_infinite(tmp_path, binary):
     path, values = tmp_path / "a", [1e150, -1e150, 1.0000000000000002e150, -1.0000000000000002e150]
