@@ -61,8 +61,9 @@ def ordered(track: Track, column: str, note: Note = refuse) -> Track:
     Args:
         track: track as read.
         column: time column.
-        note: callback for times that are missing, repeated or decreasing; such samples are then skipped. Times
-            that restart where they began are one fault, and only the first of these trajectories is returned.
+        note: callback for times that are missing, repeated or decreasing; such samples are then skipped.
+            Times that restart where they began are one fault, and only the first of these trajectories is
+            returned.
 
     Raises:
         UserError: errors of `note`.

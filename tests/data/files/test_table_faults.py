@@ -113,8 +113,9 @@ def test_a_file_that_is_none(tmp_path):
         Files("mine", str(tmp_path / "none.csv"))
     with pytest.raises(UserError, match="Is a directory"):
         Files("mine", str(tmp_path))
-    with pytest.raises(UserError, match="received none"):
-        Files("mine", [])
+    for nothing in (None, [], ""):
+        with pytest.raises(UserError, match=r"system.path: .*received none. Set system.path=FILE"):
+            Files("mine", nothing)
     good = tmp_path / "good.csv"
     good.write_text(GOOD)
     with pytest.raises(UserError, match=r"expected different files; received .*good.csv twice"):
@@ -166,7 +167,9 @@ def test_decimal_commas_are_one_fault(tmp_path):
     path.write_text("t;x\n0,0;1,5\n1,0;-2,5e-3\n")
     with pytest.raises(Fault) as caught:
         said(path)
-    expected = "row 2, column t: expected a number with a decimal point; received '0,0', with a decimal comma. "
+    expected = (
+        "row 2, column t: expected a number with a decimal point; received '0,0', with a decimal comma. "
+    )
     assert str(caught.value).endswith(f"{expected}Write a point in place of each decimal comma of the file")
 
 
