@@ -197,8 +197,14 @@ def read_safetensors(path: Path, who: str) -> Weights:
     return Weights(state, about)
 
 
-def require_same(who: str, expected: dict[str, Any], received: dict[str, Any]) -> None:
+def require_same(who: str, expected: dict[str, Any], received: dict[str, Any], remedy: str = "") -> None:
     """Compare nested plain values.
+
+    Args:
+        who: owner of the expected values.
+        expected: values of the owner.
+        received: values that should be the same.
+        remedy: what the user can do, the last line of the message.
 
     Raises:
         UserError: the values differ; the message lists every differing key.
@@ -210,5 +216,5 @@ def require_same(who: str, expected: dict[str, Any], received: dict[str, Any]) -
         if wanted.get(key) != found.get(key)
     ]
     if rows:
-        message = f"{who} belongs to a different training run:\n" + "\n".join(rows)
+        message = "\n".join((f"{who} belongs to a different training run:", *rows, *filter(None, [remedy])))
         raise UserError(message)

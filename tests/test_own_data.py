@@ -188,7 +188,7 @@ HUBER = ("loss.robust=huber", "recipe=measurements", "hamiltonian=mechanical")
         ),
         (["data.noise=estimates"], "data.noise: expected"),
         (["system.cut=1"], "system.cut: expected int >= 2 or None; received 1"),
-        (["system.path=null"], "system.path: expected"),
+        (["system.path=null"], "system.path: expected the path of your data; received none. Set system."),
         (["system.path=none.csv"], "system.path: expected a file; received none.csv: No such file"),
     ],
 )

@@ -109,6 +109,20 @@ def test_a_checkpoint_that_does_not_fit_is_refused_before_it_is_loaded(finished,
     assert expected in capfd.readouterr().err
 
 
+def test_more_epochs_than_planned_are_a_new_run_from_the_weights(finished, tmp_path, capfd):
+    shutil.copytree(finished, tmp_path / "run")
+    more = [*FIRST, "trainer.max_epochs=4"]
+    assert call("ahnn.train", *more, f"run={tmp_path / 'run'}", "ckpt=last") == 2
+    heading, *differences, remedy = capfd.readouterr().err.splitlines()[-5:]
+    assert heading.endswith("belongs to a different training run:")
+    keys = ("scheduler.max_epochs", "scheduler.upper_bound", "trainer.max_epochs")
+    assert differences == [f"  settings.{key}: expected 3, received 4" for key in keys]
+    said = f"weights={tmp_path / 'run'}"
+    assert remedy == f"To train further, start a new run from these weights: {said} run=NEW"
+    assert call("ahnn.train", *more, said, f"run={tmp_path / 'new'}") == 0
+    assert load_results(tmp_path / "new").training["steps"] == 40
+
+
 def test_a_finished_run_has_no_steps_left(finished, tmp_path, capfd):
     shutil.copytree(finished, tmp_path / "run")
     capfd.readouterr()

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import sys
+
 import pytest
+import yaml
 from entry import SMALL, call
 from omegaconf import OmegaConf
 
@@ -119,3 +122,33 @@ def test_a_stream_reads_keys_of_simulated_measurements_where_a_process_noise_is_
     nodes = OmegaConf.create({"ukf": {"process_noise": noise, "gate": 0.9, "times": None}})
     keys = {key.rpartition(".")[2] for key, _ in unread_online(nodes, covariance=covariance)}
     assert keys == {*EVALUATED, *BIAS, *(() if fitted else SIMULATED)}
+
+
+PLAIN = """
+from ahnn.dynamics import make_dynamics
+from ahnn.models import AbstractModel
+
+KEYS = {"scaling": "block", "residual": True}
+
+class Plain(AbstractModel):
+    def __init__(self, dof, *, window, loss):
+        network = {"width": 4, "depth": 1, "activation": "tanh"}
+        super().__init__(make_dynamics("map", dof=dof, network=network, **KEYS), dof, window, loss)
+        self.save_hyperparameters()
+"""
+
+
+def test_a_model_without_network_does_not_receive_the_one_of_the_recipe(tmp_path, monkeypatch, capfd):
+    (tmp_path / "plain_model.py").write_text(PLAIN)
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    small = [text for text in SMALL if not text.startswith("model.network")]
+    chosen = ["model=mlp", "model._target_=plain_model.Plain", "~model.scaling", "~model.residual"]
+    words = ["budget=smoke", *small, "trainer.max_epochs=1", "evaluation=scores", *chosen]
+    for several in ([], ["members=2"]):
+        folder = tmp_path / f"run{len(several)}"
+        assert call("ahnn.train", *words, *several, f"run={folder}") == 0, capfd.readouterr().err
+        assert "network" not in yaml.safe_load((folder / "config.yaml").read_text())["model"]
+    capfd.readouterr()
+    for given in ("network=tanh_16", "model.network.width=8"):
+        assert call("ahnn.train", *words, given, f"run={tmp_path / 'no'}") == 2
+        assert "received one without: the model takes no network" in capfd.readouterr().err

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.utils import get_object, instantiate
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 from ahnn.arguments import check_arguments
 from ahnn.errors import TrainingError, UserError
@@ -54,13 +54,7 @@ def factory(who: str, part: Part) -> Callable[..., Any]:
         received = f"keys {', '.join(arguments)}" if arguments else repr(part.node)
         message = f"{who}: expected a node with _target_; received {received}"
         raise UserError(message)
-    try:
-        function = get_object(target)
-        taken = inspect.signature(function).parameters
-    except Exception as error:
-        reason = " ".join(str(error).split())
-        message = f"{who}: expected _target_ to name a class or function; received {target!r} ({reason})"
-        raise UserError(message) from error
+    function, taken = named(who, target)
     check_arguments(who, function, arguments, part.given, partial=partial)
 
     def build_it(**offered: Any) -> Any:
@@ -77,6 +71,34 @@ def factory(who: str, part: Part) -> Callable[..., Any]:
         return thing
 
     return build_it
+
+
+def named(who: str, target: Any) -> tuple[Callable[..., Any], Mapping[str, inspect.Parameter]]:
+    """Return the class or function that a `_target_` names, and its parameters; raises UserError."""
+    try:
+        function = get_object(target)
+        return function, inspect.signature(function).parameters
+    except Exception as error:
+        reason = " ".join(str(error).split())
+        message = f"{who}: expected _target_ to name a class or function; received {target!r} ({reason})"
+        raise UserError(message) from error
+
+
+def without_network(cfg: DictConfig) -> DictConfig:
+    """Return a configuration without the network of the recipe, if the class of its model takes none.
+
+    Raises:
+        UserError: the model names no class.
+    """
+    if not isinstance(cfg.model, DictConfig) or "network" not in cfg.model or "_target_" not in cfg.model:
+        return cfg
+    taken = named("model", cfg.model._target_)[1]
+    if "network" in taken or any(p.kind is p.VAR_KEYWORD for p in taken.values()):
+        return cfg
+    cfg = cfg.copy()
+    with open_dict(cfg):
+        del cfg.model["network"]
+    return cfg
 
 
 def build(node: Any, who: str, kind: type = object, **offered: Any) -> Any:

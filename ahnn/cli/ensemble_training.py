@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
-from ahnn.cli.build import Part, factories, factory, stored
+from ahnn.cli.build import Part, factories, factory, stored, without_network
 from ahnn.cli.early_stops import held, interruptible
 from ahnn.cli.parts import is_multirun
 from ahnn.cli.preflight import require_new
@@ -54,6 +54,7 @@ def prepare_members(cfg: DictConfig) -> PreparedEnsemble:
     from ahnn.models import EnsembleModel
     from ahnn.training.restore import require_resumable
 
+    cfg = without_network(cfg)
     alone = cfg.copy()
     alone.members, alone.ckpt = None, None
     members = [prepare(of_seed(alone, seed)) for seed in range(cfg.seed, cfg.seed + cfg.members)]

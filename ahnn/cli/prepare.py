@@ -13,7 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import flatten
 from ahnn.checkpoints import FORMAT
-from ahnn.cli.build import Part, each, factories, plain_config, stored
+from ahnn.cli.build import Part, each, factories, plain_config, stored, without_network
 from ahnn.cli.parts import (
     SENSOR,
     SIMULATION,
@@ -55,6 +55,7 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
         UserError: incompatible parts, or an override without effect.
     """
     require_one(cfg)
+    cfg = without_network(cfg)
     torch.set_num_threads(cfg.threads)
     seed_everything(cfg.seed, verbose=False)
     values, made = plain_config(cfg), factories(parts_of(cfg))

@@ -97,6 +97,7 @@ def unread_of_training(cfg: DictConfig, prepared: Prepared, *, several: bool) ->
     rolled = OmegaConf.select(cfg, "callbacks.rollout.count") != 0
     clipped = bool(cfg.trainer.get("gradient_clip_val"))
     derived = staged or cfg.loss.derivative > 0
+    own, plain = "network" in cfg.model, "the model takes no network; its options are model.NAME"
     measured = "a loss on windows does not estimate noise; a recipe with loss.stages does"
     yield from unless(
         (
@@ -105,6 +106,8 @@ def unread_of_training(cfg: DictConfig, prepared: Prepared, *, several: bool) ->
             "ckpt resumes a run from its own weights",
         ),
         ("seed", not several, "seeds= replaces it"),
+        ("network", own, plain),
+        ("model.network", own, plain),
         ("scheduler", automatic or not cfg.scheduler, "second-order steps have no learning rate"),
         ("data.bias_sd", staged or cfg.data.get("bias_sd") is None, measured),
         ("data.correlation", staged or cfg.data.get("correlation") is None, measured),

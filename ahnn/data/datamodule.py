@@ -22,7 +22,7 @@ from ahnn.data.sources import Source
 from ahnn.data.splits import Split, SplitData
 from ahnn.data.windows import Windows, on_clock, require_span
 from ahnn.errors import UserError
-from ahnn.measurements import Instrument, Observations, Segment
+from ahnn.measurements import Instrument, Observations, Segment, reading
 from ahnn.measurements.smoothing import Local, as_states, smoothed
 from ahnn.memory import require_memory
 from ahnn.statistics import Statistics
@@ -144,11 +144,12 @@ class WindowDataModule(LightningDataModule):
         """Return a remark for the user on the noise of the training data, or None."""
         if self.sensor is None:
             some = self.trajectories("train").spread()
-            return remark_on(some.states, some.times, self.source.space.components, None)
+            units = reading("state", self.source.space).units
+            return remark_on(some.states, some.times, self.source.space.components, units, None)
         if self.sensor.unknown.sizes:
             return None
         stated = None if self.stages is None else self.sensor.deviations
-        return remark_on(*self.measured("train"), self.sensor.measurement.names, stated)
+        return remark_on(*self.measured("train"), self.sensor.names, self.sensor.measurement.units, stated)
 
     def feed(self, trainer: Trainer) -> None:
         """Place batch gathering on the trainer's device, before the first batch is requested."""

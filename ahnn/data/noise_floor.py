@@ -24,6 +24,8 @@ LOOKED_AT = 2**16
 """Number of samples for medians accurate to one per cent."""
 SMALL, MEANS = 0.02, 0.25
 """Noise relative to a component's total motion that needs no test, and tolerance of the means."""
+PURE = ("1", "1 · mass")
+"""Units of components without a unit."""
 TWICE = 2.0
 """Tolerated factor between stated and estimated noise."""
 
@@ -138,13 +140,16 @@ def without_events(samples: Tensor, times: Tensor) -> Tensor:
     return samples.masked_fill(hits > 0, torch.nan)
 
 
-def remark_on(samples: Tensor, times: Tensor, names: Sequence[str], stated: Tensor | None) -> str | None:
+def remark_on(
+    samples: Tensor, times: Tensor, names: Sequence[str], units: Sequence[str], stated: Tensor | None
+) -> str | None:
     """Return a remark for the user on the noise of samples before training, or None.
 
     Args:
         samples: (B, T, D) training samples, of which some are examined.
         times: (B, T) sample times.
         names: names of their D components.
+        units: units of these components, "1" of pure numbers.
         stated: (D,) standard deviations used by the loss; None for a loss that assumes exact samples.
     """
     samples, times = looked_at(samples, times)
@@ -160,8 +165,12 @@ def remark_on(samples: Tensor, times: Tensor, names: Sequence[str], stated: Tens
         coloured = is_coloured(samples, times, floor)
         suspicious = (floor > TWICE * stated) | ((floor < stated / TWICE) & ~coloured)
         advice = "data.noise differs: check it, since it weights the measurements"
-    levels = zip(names, floor.tolist(), suspicious.tolist(), strict=True)
-    found = ", ".join(f"{name} {level:.2g}" for name, level, noisy in levels if noisy)
+    levels = zip(names, floor.tolist(), units, suspicious.tolist(), strict=True)
+    found = ", ".join(
+        f"{name} {level:.2g}" + ("" if unit in PURE else f" {unit}")
+        for name, level, unit, noisy in levels
+        if noisy
+    )
     if not found:
         return None
     rare = "unless they are too sparse to tell"

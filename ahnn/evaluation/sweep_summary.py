@@ -6,6 +6,7 @@ from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
+from rich.text import Text
 
 from ahnn.contents import read_whole
 from ahnn.errors import UserError
@@ -21,8 +22,14 @@ QUANTITIES = ("position", "velocity", "energy")
 
 
 def sweep_table(folder: Path, jobs: list[Path]) -> Table:
-    """Format the table of job folders: overrides, training, and the model's scores from the true start."""
-    table = Table(title=f"sweep {folder}", title_justify="left", title_style="bold", box=SIMPLE_HEAD)
+    """Format the table of job folders: overrides, training, and the model's scores from the true start.
+
+    Overrides common to all jobs are listed once, above the table.
+    """
+    asked = [_overrides(job) for job in jobs]
+    common = [text for text in asked[0] if all(text in texts for texts in asked)]
+    title = "\n".join((f"sweep {folder}", *(["all jobs: " + " ".join(common)] if common else [])))
+    table = Table(title=Text(title, "bold"), title_justify="left", box=SIMPLE_HEAD)
     table.pad_edge, table.padding = False, (0, 1, 0, 0)
     table.add_column("job", no_wrap=True)
     table.add_column("overrides", overflow="fold")
@@ -31,11 +38,12 @@ def sweep_table(folder: Path, jobs: list[Path]) -> Table:
     heads = [quantity(spaces[0], name)[0] for name in QUANTITIES] if spaces else QUANTITIES
     for head in (*TRAINING, *heads):
         table.add_column(head, justify="right", no_wrap=True)
-    for job, results in zip(jobs, found, strict=True):
+    for job, texts, results in zip(jobs, asked, found, strict=True):
         values = None if results is None else _values(results)
         missing = ["-"] * (len(TRAINING) + len(QUANTITIES) - 1)
         cells = [*missing, "no scores"] if values is None else values
-        table.add_row(job.name, _overrides(job), *cells, style="red" if values is None else None)
+        own = Text(" ".join(text for text in texts if text not in common))
+        table.add_row(job.name, own, *cells, style="red" if values is None else None)
     table.caption = "W: steps of the loss; losses of different W are not comparable. Scores: true start."
     table.caption_justify = "left"
     return table
@@ -59,10 +67,10 @@ def _values(results: Results) -> list[str] | None:
     return [*numbers, *(number(getattr(row.scores, name)) for name in QUANTITIES)]
 
 
-def _overrides(job: Path) -> str:
-    """Return the overrides of a job on one line."""
+def _overrides(job: Path) -> list[str]:
+    """Return the overrides of a job."""
     try:
         text = read_whole(job / ".hydra" / "overrides.yaml").decode("utf-8", "replace")
     except OSError:
-        return ""
-    return " ".join(line[2:] for line in text.splitlines())
+        return []
+    return [line[2:] for line in text.splitlines()]

@@ -26,6 +26,7 @@ from ahnn.types import Trajectories
 
 ORBITS = generate(MOLNIYA, 12, 0)
 NAMES = [f"c{k}" for k in range(6)]
+UNITS = ["1"] * 6
 
 
 def noisy(sd, truth=ORBITS, seed=3):
@@ -79,7 +80,7 @@ def test_some_of_many_trajectories_tell_the_noise(monkeypatch):
     seen = []
     monkeypatch.setattr(room, "LOOKED_AT", ORBITS.times.numel() // 3)
     monkeypatch.setattr(room, "noise_floor", lambda *samples: seen.append(samples) or noise_floor(*samples))
-    assert "0.1" in str(remark_on(*noisy(0.1)[:2], NAMES, None))
+    assert "0.1" in str(remark_on(*noisy(0.1)[:2], NAMES, UNITS, None))
     assert len(seen[0][0]) == 4  # of 12, evenly chosen
     assert torch.equal(seen[0][1], ORBITS.times[::3])
 
@@ -120,13 +121,13 @@ def test_a_motion_that_is_sampled_too_rarely_tells_nothing():
     ("stated", "said"), [(0.1, None), (0.3, "data.noise differs"), (0.03, "noise of c0 0.")]
 )
 def test_noise_is_remarked_upon_where_it_matters(stated, said):
-    remark = remark_on(*noisy(0.1)[:2], NAMES, torch.full((6,), stated, dtype=torch.float64))
+    remark = remark_on(*noisy(0.1)[:2], NAMES, UNITS, torch.full((6,), stated, dtype=torch.float64))
     assert remark is None if said is None else said in remark
 
 
 def test_a_loss_that_takes_noisy_samples_as_exact_is_warned_of():
-    assert "recipe=measurements" in (remark_on(*noisy(0.1)[:2], NAMES, None) or "")
-    assert remark_on(*ORBITS[:2], NAMES, None) is None
+    assert "recipe=measurements" in (remark_on(*noisy(0.1)[:2], NAMES, UNITS, None) or "")
+    assert remark_on(*ORBITS[:2], NAMES, UNITS, None) is None
 
 
 @pytest.mark.parametrize(("count", "told"), [(10, False), (11, True)])
@@ -170,7 +171,7 @@ def test_an_event_is_six_deviations_away_by_the_fifth_of_the_differences_that_is
 @pytest.mark.parametrize(("stated", "said"), [(1.99, False), (2.01, True), (0.503, False), (0.497, True)])
 def test_stated_noise_may_be_off_by_a_factor_of_two(stated, said):
     given = noisy(0.1)
-    assert (remark_on(*given[:2], NAMES, stated * noise_floor(*given[:2])) is not None) == said
+    assert (remark_on(*given[:2], NAMES, UNITS, stated * noise_floor(*given[:2])) is not None) == said
 
 
 @pytest.mark.parametrize(("times", "said"), [(0.99, False), (1.01, True)])
@@ -182,6 +183,6 @@ def test_noise_matters_from_a_ten_thousandth_of_the_usual_step_on(times, said):
     still[..., 1] = draw[..., 1].gt(1.2)  # a switch that is mostly left as it is
     level = float(noise_floor(draw, clock)[0])
     still[..., 0] += level / 1e-4 / times * clock
-    remark = remark_on(still, clock, ["line", "switch"], None)
+    remark = remark_on(still, clock, ["line", "switch"], ["rad", "1"], None)
     assert (remark is not None) == said
-    assert remark is None or f"noise of line {level:.2g} (" in remark
+    assert remark is None or f"noise of line {level:.2g} rad (" in remark

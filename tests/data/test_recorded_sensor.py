@@ -177,3 +177,9 @@ def test_a_simulated_bias_is_the_same_in_all_parts():
     assert float(off[0].std()) < 1e-12
     assert torch.allclose(off[0], off[1], atol=1e-12)
     assert 1e-3 < float(off[0].abs().mean()) < 2.5
+
+
+def test_messages_name_the_columns_of_the_file():
+    space = SPRING.space._replace(components=("height", "pheight"))
+    assert Recorded(space, measured="position", noise=0.1).names == ("height",)
+    assert Recorded(space, measured="state", noise=0.1).names == ("height", "pheight")

@@ -19,7 +19,9 @@ def sweep(tmp_path):
     jobs = [tmp_path / str(number) for number in range(4)]
     for job in jobs:
         (job / ".hydra").mkdir(parents=True)
-        (job / ".hydra" / "overrides.yaml").write_text(f"- window={job.name}\n- model=ahnn\n")
+        (job / ".hydra" / "overrides.yaml").write_text(
+            f"- window={job.name}\n- model=ahnn\n- data.windows_per_epoch=5000\n- a=[b]\n"
+        )
     decoys = [
         Row(Who("exact field, rk4", "true", floor=True), scores(7.7)),
         Row(MODEL._replace(start="perturbed"), scores(8.8)),
@@ -40,7 +42,8 @@ def test_each_job_has_its_row(sweep, capsys):
     lines = [line.split() for line in out.splitlines()]
     assert max(map(len, out.splitlines())) <= 80
     jobs = [line for line in lines if line and line[0] in ("0", "1", "2", "3")]
-    assert jobs[0] == ["0", "window=0", "model=ahnn", "5", "12.2", "1.00e-09", "1.25", "1.25", "2.50"]
-    assert jobs[1] == ["1", "window=1", "model=ahnn", "1", "-", "0.500", "inf", "inf", "-"]
+    assert ["all", "jobs:", "model=ahnn", "data.windows_per_epoch=5000", "a=[b]"] in lines
+    assert jobs[0] == ["0", "window=0", "5", "12.2", "1.00e-09", "1.25", "1.25", "2.50"]
+    assert jobs[1] == ["1", "window=1", "1", "-", "0.500", "inf", "inf", "-"]
     for line in jobs[2:]:
         assert line[-7:] == [*["-"] * 5, "no", "scores"]

@@ -176,6 +176,13 @@ def too_wide(content: Content) -> Iterator[Finding]:
                 break
 
 
+def in_file(content: Content, name: str, value: float, here: str) -> str:
+    """Return a value of a column in the unit of the file, followed by the value in the unit of the space."""
+    own = next((column.unit for column in content.columns if column.name == name), "") or here
+    shown = f"{value:.2g} {here}"
+    return shown if own == here else f"{value * unit(here).size / unit(own).size:.2g} {own}, that is {shown}"
+
+
 def noise(content: Content, names: tuple[str, ...], gap: float) -> Iterator[Finding]:
     """Yield the noise level of each noisy column."""
     every = max(1, len(content.tracks) // EXAMPLES)
@@ -192,10 +199,12 @@ def noise(content: Content, names: tuple[str, ...], gap: float) -> Iterator[Find
     rare = (plateau > SHARE * typical) & found.isnan()
     for c, (name, level, step) in enumerate(zip(names, found.tolist(), typical.tolist(), strict=True)):
         if level > SHARE * step > 0:
-            units = content.units.position if c < n else content.units.velocity
-            what = f"noise of about {level:.2g}" + ("" if content.momenta and c >= n else f" {units}")
+            here = content.units.position if c < n else content.units.velocity
+            what = "" if content.momenta and c >= n else in_file(content, name, level, here)
             remedy = "Set it: sensor=recorded data.noise=..."
-            yield Finding("note", file, content.head, name, what, remedy)
+            yield Finding(
+                "note", file, content.head, name, f"noise of about {what or f'{level:.2g}'}", remedy
+            )
     if bool(rare.any()):
         remedy = "Give more samples per period: noise and units were not checked"
         yield Finding(

@@ -62,6 +62,8 @@ def ordered(track: Track, column: str, note: Note = refuse) -> Track:
         track: track as read.
         column: time column.
         note: callback for times that are missing, repeated or decreasing; such samples are then skipped.
+            Times that restart where they began are one fault, and only the first of these trajectories is
+            returned.
 
     Raises:
         UserError: errors of `note`.
@@ -70,6 +72,12 @@ def ordered(track: Track, column: str, note: Note = refuse) -> Track:
     for row in track.rows[np.isnan(track.times)]:
         note(Fault(place._replace(row=int(row)), "a time", "none", "Leave the row out"))
     track = track.part(np.flatnonzero(np.isfinite(track.times)))
+    if len(starts := restarts(track.times)):
+        k, more = int(starts[0]), f", and {len(starts) - 1} more" if len(starts) > 1 else ""
+        received = f"a restart at {track.times[k]} after {track.times[k - 1]}{more}"
+        row = place._replace(row=int(track.rows[k]))
+        note(Fault(row, f"increasing times{whose}", received, f"Give each trajectory {APART}"))
+        track = track.part(slice(0, k))
     late = np.maximum.accumulate(track.times)
     good = np.concatenate(([True], track.times[1:] > late[:-1])) if len(late) else np.zeros(0, dtype=bool)
     last = np.maximum.accumulate(np.where(good, np.arange(len(late)), 0))
@@ -85,6 +93,19 @@ def ordered(track: Track, column: str, note: Note = refuse) -> Track:
                 Fault(row, f"a time{whose} after {before} of row {known}", f"{here}", "Sort the rows by time")
             )
     return track.part(good)
+
+
+def restarts(times: Array) -> NDArray[np.int64]:
+    """Return the samples at which times fall back, if each falls to the first time, to half a median step.
+
+    Such rows are several trajectories below each other; otherwise, the result is empty.
+    """
+    steps = np.diff(times)
+    found = np.flatnonzero(steps < 0) + 1
+    if not (steps > 0).any():
+        return found[:0]
+    near = np.abs(times[found] - times[0]) <= 0.5 * np.median(steps[steps > 0])
+    return found if near.all() else found[:0]
 
 
 def filled(track: Track, gap: float, *, linear: bool = False) -> Track:

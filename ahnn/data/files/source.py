@@ -27,7 +27,7 @@ class Files(Recordings):
 
     Args:
         name: name of the data, in folders and tables.
-        path: path of one or several files.
+        path: path of one or several files; refused if there is none.
         mass: factor m of p = m dq/dt, in kg (of angles: the inertia in kg m^2), common or per coordinate;
             None for 1, with energies per unit mass.
         cut: number of samples of the segments into which trajectories are cut; None: not cut.
@@ -46,7 +46,7 @@ class Files(Recordings):
     def __init__(
         self,
         name: str,
-        path: str | list[str],
+        path: str | list[str] | None,
         mass: Positive | list[Positive] | None = None,
         cut: Annotated[int, Within(2)] | None = None,
         gap: Annotated[float, Within(1.5)] = 10.0,
@@ -55,6 +55,9 @@ class Files(Recordings):
         duration: Positive | None = None,
         unsound: bool = False,
     ) -> None:
+        if not path:
+            message = "system.path: expected the path of your data; received none. Set system.path=FILE"
+            raise UserError(message)
         self.paths = [Path(p).expanduser() for p in ([path] if isinstance(path, str) else path)]
         self.reading = FileReading(mass is not None, frame, step, duration)
         require_different(self.paths)
@@ -96,9 +99,6 @@ def require_different(paths: list[Path]) -> None:
 
 def together(paths: list[Path], contents: list[Content]) -> Content:
     """Return the first of several contents after checking that they match; raises UserError otherwise."""
-    if not contents:
-        message = "system.path: expected one or more files; received none"
-        raise UserError(message)
     for name in ("positions", "rates", "momenta", "units", "frame", "measured_controls", "linear"):
         first = getattr(contents[0], name)
         for path, content in zip(paths, contents, strict=True):

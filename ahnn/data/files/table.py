@@ -19,6 +19,8 @@ log = logging.getLogger(__name__)
 HEADER = re.compile(r"\s*(?P<name>[^\[\]()]*?)\s*([\[(](?P<unit>[^\[\]()]*)[\])])?\s*")
 MISSING = {"", "nan", "na"}
 EMPTY = "Leave the cell empty if the value is missing"
+DECIMAL_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+([eE][+-]?[0-9]+)?")
+POINT = "Write a point in place of each decimal comma of the file"
 
 LARGEST = 1e150
 """Magnitude above which squares overflow float64."""
@@ -222,6 +224,8 @@ def number(cell: str, place: Place, remedy: str = EMPTY) -> float:
     try:
         value = float(cell.replace("_", "?"))  # Python accepts 1_000 as a number, other programs do not
     except ValueError:
+        if DECIMAL_COMMA.fullmatch(cell):
+            place.refuse("a number with a decimal point", f"{cell!r}, with a decimal comma", POINT)
         place.refuse("a number", repr(cell), remedy)
     if abs(value) > LARGEST:
         place.refuse(FINITE, repr(cell), remedy)

@@ -18,6 +18,7 @@ from ahnn.data.files.table import (
     FINITE,
     LARGEST,
     MISSING,
+    POINT,
     Fault,
     Header,
     Note,
@@ -117,7 +118,11 @@ def trajectories(sheet: Sheet, column: int | None, whole: Track, note: Note) -> 
 
 
 def numbers(sheet: Sheet, column: int, note: Note) -> Array:
-    """Return a column in the unit of the file, NaN for empty or invalid cells."""
+    """Return a column in the unit of the file, NaN for empty or invalid cells.
+
+    Raises:
+        UserError: a decimal comma, which the other cells of the file contain as well.
+    """
     cells, name, file = sheet.columns[column], sheet.header.names[column], sheet.place.file
     if isinstance(cells, np.ndarray):
         beyond = np.abs(cells) > LARGEST
@@ -129,6 +134,8 @@ def numbers(sheet: Sheet, column: int, note: Note) -> Array:
         try:
             found[k] = number(cell, Place(file, row, name))
         except Fault as fault:
+            if fault.remedy == POINT:
+                raise
             note(fault)
     return found
 

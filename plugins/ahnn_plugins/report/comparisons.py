@@ -62,7 +62,10 @@ def agreement(
 
 
 def order_table(board: Board, confidence: float) -> Grid | None:
-    """Build the ranking of the models in each column of results; None for a single model."""
+    """Build the ranking of the models in each column of results; None for a single model.
+
+    Columns on the paper are left out for a system that it does not treat.
+    """
     lines = []
     for with_filter, start, quantity in product((False, True), STARTS, QUANTITIES):
         measures = {model: Measure(model, quantity, start, with_filter) for model in board.groups}
@@ -82,10 +85,12 @@ def order_table(board: Board, confidence: float) -> Grid | None:
         lines.append(Line(name, tuple(cells)))
     if not lines:
         return None
-    heads = (
+    heads: tuple[tuple[Head, ...], ...] = (
         (Head(""), Head("ours"), Head("paper"), Head("pairs of models", 3)),
         (Head("Error"), Head(""), Head(""), Head("as paper"), Head("reverse"), Head("open")),
     )
+    if all(cell.text == NONE for line in lines for cell in line.cells[1:]):
+        heads, lines = ((Head("Error"), Head("order")),), [Line(line.name, line.cells[:1]) for line in lines]
     caption = (
         f"Lowest error first, by the geometric mean over seeds. A < B: decided, the {confidence:.0%} "
         "interval of the ratio lies below one (Welch's test on the logarithms of the scores, each pair by "

@@ -6,8 +6,8 @@ from typing import Literal, NamedTuple
 
 from torch import Tensor
 
-Role = Literal["model", "truth", "floor", "filter", "measurement", "paper", "term"]
-Kind = Literal["lines", "orbit", "bars"]
+Role = Literal["model", "seed", "truth", "floor", "filter", "measurement", "paper", "term"]
+Kind = Literal["lines", "orbit", "dots"]
 
 
 class Series(NamedTuple):
@@ -17,10 +17,11 @@ class Series(NamedTuple):
         label: legend label; series with equal labels are toggled together.
         x, y: values, (T,); NaN interrupts a curve.
         z: third coordinate of an orbit, (T,).
-        role: role of the series. A `filter` is a model that assimilates, a `term` is a part of a sum.
+        role: role of the series. A `filter` is a model that assimilates, a `seed` one run of several of a
+            model, a `term` a part of a sum.
         slot: index of its model in the report, or of its term; role and slot determine colour and dash, so
             that a model looks the same in every figure.
-        low, high: band about it, (T,); spread of dots.
+        low, high: band about a curve, (T,).
         hover: further values of the tooltip, by name with unit, each (T,).
     """
 
@@ -67,8 +68,8 @@ class Drawing(NamedTuple):
         title: one-line title.
         caption: content and runs, with the corresponding figure of the paper.
         panels: panels from top to bottom.
-        kind: `lines`; `orbit`, one panel in three dimensions; or `bars`, dots with their spread.
-        spread: meaning of bands or bars, below the title; "" without them.
+        kind: `lines`; `orbit`, one panel in three dimensions; or `dots` over a categorical axis.
+        spread: meaning of bands or of the dots of seeds, below the title; "" without them.
     """
 
     name: str

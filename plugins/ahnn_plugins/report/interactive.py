@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ahnn.evaluation.style import SKY
 from ahnn_plugins.report.drawing import Drawing, Panel, Series
-from ahnn_plugins.report.looks import INK, OPACITY, Look, is_dots, look
+from ahnn_plugins.report.looks import INK, OPACITY, SMALL, Look, is_dots, look
 
 SCRIPT = "interactive.js"
 SYMBOLS = {"circle": "circle", "square": "square-open", "line": "line-ew-open", "x": "x-thin-open"}
@@ -171,23 +171,15 @@ def _traces(series: Series, drawing: Drawing) -> list[dict[str, Any]]:
     }
     colour = {} if style.colour == INK else {"color": style.colour}
     if is_dots(series, drawing.kind):
-        size = 5 if series.role == "measurement" else 16 if style.symbol == "line" else 9
+        size = 5 if series.role in SMALL else 16 if style.symbol == "line" else 9
         line = {"width": 2, **colour} if style.symbol != "circle" else {}
         main |= {
             "mode": "markers",
             "marker": {"size": size, "symbol": SYMBOLS[style.symbol], **colour, "line": line},
         }
-        return [main | _spread(series, colour)]
+        return [main]
     main |= {"mode": "lines", "line": {"dash": style.dash, "width": 1.25 * style.width, **colour}}
     return [*_band(series, style, main), main]
-
-
-def _spread(series: Series, colour: dict[str, str]) -> dict[str, Any]:
-    if series.low is None or series.high is None:
-        return {}
-    up, down = series.high - series.y, series.y - series.low
-    bars = {"array": _numbers(up), "arrayminus": _numbers(down), "symmetric": False}
-    return {"error_y": {"type": "data", **bars, "thickness": 1.5, "width": 3, **colour}}
 
 
 def _band(series: Series, style: Look, main: dict[str, Any]) -> list[dict[str, Any]]:

@@ -19,6 +19,8 @@ SYMBOLS = {"model": "circle", "filter": "square", "floor": "line", "paper": "x"}
 """Symbols of dots, by role."""
 OPACITY = 0.18
 """Opacity of bands."""
+SMALL = ("measurement", "seed")
+"""Roles of small dots."""
 
 
 class Look(NamedTuple):
@@ -50,4 +52,4 @@ def look(series: Series) -> Look:
 
 def is_dots(series: Series, kind: Kind) -> bool:
     """Return whether a series is drawn as dots instead of a line."""
-    return kind == "bars" or series.role == "measurement"
+    return kind == "dots" or series.role == "measurement"

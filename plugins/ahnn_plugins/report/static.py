@@ -11,7 +11,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from ahnn.evaluation import style
 from ahnn_plugins.report.drawing import Drawing, Panel, Series
-from ahnn_plugins.report.looks import INK, OPACITY, is_dots, look
+from ahnn_plugins.report.looks import INK, OPACITY, SMALL, is_dots, look
 
 DASHES: dict[str, Any] = {
     "solid": "-",
@@ -98,18 +98,16 @@ def _line_options(series: Series) -> dict[str, Any]:
 
 
 def _dots(axes: Any, series: Series) -> None:
-    """Draw dots with their spread."""
-    found, spread = look(series), None
+    """Draw dots."""
+    found = look(series)
     colour = _colour(found.colour)
-    if series.low is not None and series.high is not None:
-        spread = np.stack([(series.y - series.low).numpy(), (series.high - series.y).numpy()])
     face = "none" if found.symbol == "square" else colour
-    small = series.role == "measurement"
+    small = series.role in SMALL
     size = 3 if small else 12 if found.symbol == "line" else 6
     mark = {"marker": MARKERS[found.symbol], "ms": size, "mfc": face, "mew": 0.8 if small else 1.6}
-    axes.errorbar(
-        *(series.x.numpy(), series.y.numpy(), spread),
-        **{"ls": "none", "color": colour, "capsize": 2, "label": _label(series), "zorder": 3, **mark},
+    axes.plot(
+        *(series.x.numpy(), series.y.numpy()),
+        **{"ls": "none", "color": colour, "label": _label(series), "zorder": 3, **mark},
     )
 
 

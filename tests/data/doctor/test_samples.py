@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 import torch
@@ -9,7 +11,7 @@ import torch
 from ahnn.data.doctor import examine
 from ahnn.data.doctor.examine import diagnosis
 from ahnn.data.doctor.samples import gaps, missing, noise, runs_of_outliers, sample_findings, too_wide
-from ahnn.data.files.content import Content
+from ahnn.data.files.content import Column, Content
 from ahnn.data.files.reading import FileReading
 from ahnn.data.files.samples import Track
 from ahnn.data.files.unwrapped_angles import turns_of
@@ -129,6 +131,11 @@ def test_noise_takes_eleven_samples_at_any_steps():
     times = np.cumsum(np.random.default_rng(2).uniform(0.5, 1.5, 11))
     (found,) = noise(content(*(one._replace(times=times) for one in even)), ("q",), 10.0)
     assert found.what == "noise of about 1 rad"
+    degrees = content(*(one._replace(times=times) for one in even))._replace(
+        columns=(Column("q", "position", "deg"),)
+    )
+    (found,) = noise(degrees, ("q",), 10.0)
+    assert re.fullmatch("noise of about (5[4-9]|60) deg, that is 1 rad", found.what)  # 57.3 deg
 
 
 @pytest.mark.parametrize("count", [3, 200, 201, 401])

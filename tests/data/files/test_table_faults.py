@@ -113,8 +113,9 @@ def test_a_file_that_is_none(tmp_path):
         Files("mine", str(tmp_path / "none.csv"))
     with pytest.raises(UserError, match="Is a directory"):
         Files("mine", str(tmp_path))
-    with pytest.raises(UserError, match="received none"):
-        Files("mine", [])
+    for nothing in (None, [], ""):
+        with pytest.raises(UserError, match=r"system.path: .*received none. Set system.path=FILE"):
+            Files("mine", nothing)
     good = tmp_path / "good.csv"
     good.write_text(GOOD)
     with pytest.raises(UserError, match=r"expected different files; received .*good.csv twice"):
@@ -159,6 +160,17 @@ def test_a_hundred_faults_in_random_cells_are_found_where_they_are(tmp_path):
         said = message_of(tmp_path, "\n".join(",".join(cells) for cells in (header, *rows)))
         place = "" if kind == "short" else f", column {header[column].split()[0]}"
         assert f"data.csv, row {row + 2}{place}: expected" in said
+
+
+def test_decimal_commas_are_one_fault(tmp_path):
+    path = tmp_path / "data.csv"
+    path.write_text("t;x\n0,0;1,5\n1,0;-2,5e-3\n")
+    with pytest.raises(Fault) as caught:
+        said(path)
+    expected = (
+        "row 2, column t: expected a number with a decimal point; received '0,0', with a decimal comma. "
+    )
+    assert str(caught.value).endswith(f"{expected}Write a point in place of each decimal comma of the file")
 
 
 @pytest.mark.parametrize("binary", [False, True], ids=["text", "parquet"])

@@ -93,6 +93,19 @@ def test_times_that_do_not_increase_are_named_with_the_last_that_did():
     assert len(ordered(track([]), "t").times) == 0
 
 
+def test_times_that_restart_are_one_fault():
+    faults = []
+    found = ordered(track([0, 1, 2, 0.1, 1, 2, 3, 0, 1, 2]), "t", faults.append)
+    assert found.times.tolist() == [0, 1, 2]
+    ((place, expected, received, remedy),) = [(f.place, f.expected, f.received, f.remedy) for f in faults]
+    assert (place.row, place.column, expected) == (5, "t", "increasing times of a")
+    assert received == "a restart at 0.1 after 2.0, and 1 more"
+    assert "a separate id" in remedy
+    faults.clear()
+    ordered(track([0, 1, 2, 0, 1, 2, 1]), "t", faults.append)  # the last is out of order
+    assert [fault.place.row for fault in faults] == [5, 6, 7, 8]
+
+
 def test_shorter_trajectories_end_with_nothing():
     states, times, *_ = stacked([track([0, 1, 2]), track([5])])
     assert states.shape == (2, 3, 2)

@@ -84,7 +84,7 @@ def test_texts_are_no_markup_in_html():
     x = torch.arange(3.0)
     panel = Panel((Series(EVIL, x, x, hover={EVIL: x}),), EVIL, EVIL, ticks=(EVIL,))
     drawing = Drawing(EVIL, EVIL, EVIL, (panel,))
-    for kind in ("lines", "bars"):
+    for kind in ("lines", "dots"):
         html = to_html(drawing._replace(kind=kind))
         assert html.count("<script>") == html.count("</script>") == 1
         assert "<a" not in html

@@ -76,6 +76,10 @@ def test_the_order_of_models_says_which_of_its_steps_the_spread_decides(spring):
     assert grid is not None
     assert line(grid, "position, true start") == [order, order, "10", "0", "0"]
     assert line(grid, "energy, perturbed start")[1:] == ["–"] * 4
+    other = order_table(board(spring, "mass_spring")._replace(system="pendulum"), 0.95)
+    assert other is not None
+    assert other.columns == 2
+    assert line(other, "position, true start") == [order]
 
 
 def test_the_ablation_compares_windows_of_models_that_assume_the_same(spring):

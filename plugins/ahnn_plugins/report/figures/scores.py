@@ -1,9 +1,9 @@
-"""RMSE of every model with spread over seeds, floor and the paper's value."""
+"""RMSE of every model and of each of its seeds, with the floor and the paper's value."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from statistics import fmean, stdev
+from statistics import geometric_mean
 from typing import Literal, NamedTuple, get_args
 
 import torch
@@ -22,8 +22,12 @@ Quantity = Literal["position", "velocity", "energy"]
 
 BESIDE = 0.17
 """Horizontal offsets of a model without a filter and with one."""
+SEEDS = 0.06
+"""Horizontal offset of the seeds from the dot of their model."""
 SIDES = "Left: without measurements; right: with the filter. "
-SPREAD = "Dots: means over seeds; lines: ± standard deviation, as in the tables."
+SPREAD = "Small dots: the seeds; large dots: their geometric mean."
+TABLES = "The tables give mean ± standard deviation over the seeds. "
+"""On a log axis, this interval may reach below zero, hence the seeds themselves."""
 MEANING = "RMSE: mean over test trajectories of the rms vector norm; floor: score of the exact equations."
 
 
@@ -58,11 +62,8 @@ def _of_start(
             panels.append(Panel(_merged(series), "", label, log=True, ticks=tuple(models)))
     if not panels:
         return None
-    caption = f"{SIDES}{MEANING}"
     title = f"{system}: RMSE of the models, {start} start"
-    return Drawing(
-        f"{file_name(system)}_rmse_{start}", title, caption, tuple(panels), "bars", _spread(panels)
-    )
+    return _drawing(f"{file_name(system)}_rmse_{start}", title, SIDES, panels)
 
 
 def _of_model(runs: list[Entry], start: str, quantity: Quantity, place: int, slot: int) -> list[Series]:
@@ -103,18 +104,18 @@ def _printed(system: str, model: str, start: str, quantity: Quantity, place: int
 
 
 def _dots(label: str, dots: Sequence[Dot], role: Role, slot: int = 0) -> list[Series]:
-    """Return one series of means with standard deviations, empty without positive, drawable values."""
-    rows = []
+    """Return a series of geometric means and one of several seeds, of positive, drawable values alone."""
+    means, seeds = [], []
     for dot in dots:
         values = [v for v in dot.values if 0 < v < LOST]
-        if values:
-            mean, deviation = fmean(values), stdev(values) if len(values) > 1 else 0.0
-            rows.append((dot.place, mean, mean - deviation, mean + deviation))
-    if not rows:
-        return []
-    x, y, low, high = torch.tensor(rows, dtype=torch.float64).unbind(-1)
-    several = bool((high > low).any())
-    return [Series(label, x, y, None, role, slot, low if several else None, high if several else None)]
+        means += [(dot.place, geometric_mean(values))] if values else []
+        seeds += [(dot.place + SEEDS, v) for v in values] if len(values) > 1 else []
+    both: tuple[tuple[Role, list[tuple[float, float]]], ...] = ((role, means), ("seed", seeds))
+    return [
+        Series(label, *torch.tensor(rows, dtype=torch.float64).unbind(-1), role=each, slot=slot)
+        for each, rows in both
+        if rows
+    ]
 
 
 def _merged(series: Sequence[Series]) -> tuple[Series, ...]:
@@ -157,15 +158,16 @@ def _ablation(system: str, entries: Sequence[Entry], slots: dict[str, int]) -> D
         series = _merged([each for found in several for each in found])
         label = f"{quantity} [{_unit(rows[0][0], quantity)}], {start}"
         panels += [Panel(series, "", label, log=True, ticks=ticks)] if _has_model(series) else []
-    caption = f"Models with the same assumptions, {assumes}. {SIDES}{MEANING}"
+    caption = f"Models with the same assumptions, {assumes}. {SIDES}"
     title = f"{system}: RMSE over the window W of the loss"
-    return Drawing(f"{file_name(system)}_windows", title, caption, tuple(panels), "bars", _spread(panels))
+    return _drawing(f"{file_name(system)}_windows", title, caption, panels)
 
 
-def _spread(panels: Iterable[Panel]) -> str:
-    """Return the meaning of the lines of dots, if there are any."""
-    several = any(series.low is not None for panel in panels for series in panel.series)
-    return SPREAD if several else ""
+def _drawing(name: str, title: str, caption: str, panels: Sequence[Panel]) -> Drawing:
+    """Return the drawing, which explains the dots of seeds if there are any."""
+    several = any(series.role == "seed" for panel in panels for series in panel.series)
+    caption = f"{caption}{TABLES if several else ''}{MEANING}"
+    return Drawing(name, title, caption, tuple(panels), "dots", SPREAD if several else "")
 
 
 def _has_model(series: Iterable[Series]) -> bool:
