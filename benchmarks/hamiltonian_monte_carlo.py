@@ -105,8 +105,9 @@ def _moved(
     after = there.density - speed.square().sum(-1) / 2
     probability = (after - before).clamp(max=0).exp()
     taken = torch.rand(len(probability), generator=generator, dtype=probability.dtype) < probability
-    chosen = (torch.where(taken.view(-1, *[1] * (a.ndim - 1)), b, a) for a, b in zip(here, there, strict=True))
-    return Point(*chosen), float(probability.mean())
+    place = torch.where(taken[:, None], there.place, here.place)
+    slope = torch.where(taken[:, None], there.slope, here.slope)
+    return Point(place, torch.where(taken, there.density, here.density), slope), float(probability.mean())
 
 
 class _Tuned:
@@ -143,8 +144,8 @@ def split_rhat(draws: Tensor) -> Tensor:
 def effective_draws(draws: Tensor) -> Tensor:
     """Return the effective number of independent draws of each variable, (P,), of draws (C, N, P).
 
-    Autocorrelations of all chains are combined, and summed in pairs up to the first negative pair (Geyer 1992;
-    Vehtari et al. 2021, Bayesian Analysis 16, 667-718, section 3.2).
+    Autocorrelations of all chains are combined, and summed in pairs up to the first negative pair (Geyer
+    1992; Vehtari et al. 2021, Bayesian Analysis 16, 667-718, section 3.2).
     """
     chains, count, _ = draws.shape
     off = draws - draws.mean(1, keepdim=True)

@@ -5,9 +5,11 @@ trajectories, which are sampled, too, with flat priors: nothing is eliminated or
 
     -2 log p = |residuals|^2 + sum alpha (w - prior mean)^2,
 
-with the measurements, the noise and the prior strengths alpha of the training's last steps. If the last step was
-taken in function space, the linear parameters of that step are the unknowns, as in the training. Residuals are
-those of the steps with which the model predicts. The mass matrix is the Gauss-Newton matrix at the optimum.
+with the measurements, the noise and the prior strengths alpha of the training's last steps. If the last step
+was taken in function space, the unknowns are the linear parameters of that step, as in the training.
+Residuals follow from the integrator steps of the model, and the mass matrix is the Gauss-Newton matrix.
+
+The training also limits the cost of trajectories that it does not explain; the posterior does not.
 """
 
 from __future__ import annotations
@@ -149,7 +151,8 @@ class _Flow:
     def __init__(self, dynamics: Dynamics, places: Tensor, moved: Tensor) -> None:
         field, self.integrator = dynamics.field, dynamics.integrator
         self.kinetic, self.potential = field.energies
-        assert isinstance(self.potential, NetworkEnergy) and not self.potential.falloff
+        assert isinstance(self.potential, NetworkEnergy)
+        assert not self.potential.falloff
         network = self.potential.network
         flat = parameters_to_vector(dynamics.parameters()).expand(len(moved), -1)
         begin, _ = last_layers(dynamics).aminmax()
