@@ -13,6 +13,7 @@ continuous ranked probability score (CRPS), the fraction within two standard dev
 - sampled: rollouts of that member for random parameters of Laplace's distribution;
 - ensemble: the members as points;
 - mixture: the members with their bands, `ahnn.Ensemble.band`;
+- fitted, fitted mixture: both, without members whose chi-square exceeds twice the smallest;
 - hmc: rollouts of that member for draws of its last layer's posterior (`benchmarks/last_layer.py`);
 - layer: the same for draws of Laplace's approximation of that posterior.
 """
@@ -20,6 +21,7 @@ continuous ranked probability score (CRPS), the fraction within two standard dev
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
@@ -57,9 +59,11 @@ HORIZONS = (1, 2, 5)
 LONG = 400
 """Steps of the trajectories whose Lyapunov exponents are computed; the more chaotic half is used."""
 CHAINS, WARMUP, DRAWS, LEAPS = 8, 30, 50, 3
+FAILED = 2.0
+"""Multiple of the smallest chi-square beyond which a training counts as failed."""
 SHOWN = 48
 """Number of rollouts of sampled posteriors."""
-KINDS = ("laplace", "sampled", "ensemble", "mixture", "hmc", "layer")
+KINDS = ("laplace", "sampled", "ensemble", "mixture", "fitted", "fitted mixture", "hmc", "layer")
 
 
 class Unseen(NamedTuple):
@@ -149,31 +153,36 @@ def drawn(run: Run) -> tuple[list[Run], list[Run], str]:
 
 def forecasts(ensemble: Ensemble, unseen: Unseen) -> tuple[dict[str, Forecast], str]:
     """Return the forecast of each kind, and remarks on the member with the greatest evidence."""
-    best = max(ensemble.runs, key=lambda run: run.uncertainty.about["log_evidence"])
+    each = [known for run in ensemble.runs if (known := run.uncertainty) is not None]
+    chi_square = torch.tensor([known.about["chi_square"] for known in each])
+    fitted = chi_square <= FAILED * chi_square.min()
+    evidence = [known.about["log_evidence"] for known in each]
+    place = evidence.index(max(evidence))
+    best, known = ensemble.runs[place], each[place]
     start, steps, dt, n = unseen.truth.states[:, 0], unseen.steps, unseen.dt, ensemble.space.dof
     states = ensemble.rollouts(start, steps, dt)[..., :n]
     bands = torch.stack([run.band(start, steps, dt)[..., :n] for run in ensemble.runs])
-    own = [ensemble.runs.index(best)]
     lengths = torch.full((len(start), steps), dt, dtype=torch.float64)
-    random = sampled_rollouts(best.dynamics, start, lengths, best.uncertainty.spread, SHOWN)[..., :n]
+    random = sampled_rollouts(best.dynamics, start, lengths, known.spread, SHOWN)[..., :n]
     exact, linear, about = drawn(best)
     last, layer = (
         torch.stack([run.rollout(start, steps, dt)[..., :n] for run in runs]) for runs in (exact, linear)
     )
     found = {
-        "laplace": Forecast(states[own], bands[own]),
+        "laplace": Forecast(states[[place]], bands[[place]]),
         "sampled": Forecast(random),
         "ensemble": Forecast(states),
         "mixture": Forecast(states, bands),
+        "fitted": Forecast(states[fitted]),
+        "fitted mixture": Forecast(states[fitted], bands[fitted]),
         "hmc": Forecast(last),
         "layer": Forecast(layer),
     }
-    every = ", ".join(f"{run.uncertainty.about['chi_square']:.3g}" for run in ensemble.runs)
-    number, inflation = own[0] + 1, best.uncertainty.inflation
-    return found, f"chi-square {every}; member {number}, widened by {inflation:.3g}; {about}"
+    every = ", ".join(f"{value:.3g}" for value in chi_square.tolist())
+    return found, f"chi-square {every}; member {place + 1}, widened by {known.inflation:.3g}; {about}"
 
 
-def summary(values: list[float], factor: float = 1.0) -> str:
+def summary(values: Sequence[float], factor: float = 1.0) -> str:
     """Return the median and the range of draws."""
     return f"{factor * median(values):.3g} ({factor * min(values):.3g} to {factor * max(values):.3g})"
 

@@ -24,7 +24,9 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from ahnn.dynamics import Dynamics
 from ahnn.dynamics.energies import NetworkEnergy
+from ahnn.dynamics.fields import HamiltonianDynamics
 from ahnn.dynamics.gradients import plain_gradient
+from ahnn.dynamics.hamiltonians import SeparableHamiltonian
 from ahnn.dynamics.layered import Network
 from ahnn.dynamics.linearised import linearised
 from ahnn.errors import UserError
@@ -149,11 +151,13 @@ class _Flow:
     """
 
     def __init__(self, dynamics: Dynamics, places: Tensor, moved: Tensor) -> None:
-        field, self.integrator = dynamics.field, dynamics.integrator
-        self.kinetic, self.potential = field.energies
-        assert isinstance(self.potential, NetworkEnergy)
-        assert not self.potential.falloff
-        network = self.potential.network
+        assert isinstance(dynamics, HamiltonianDynamics)
+        assert isinstance(dynamics.field, SeparableHamiltonian)
+        self.integrator = dynamics.integrator
+        self.kinetic, potential = dynamics.field.energies
+        assert isinstance(potential, NetworkEnergy)
+        assert not potential.falloff
+        self.potential, network = potential, potential.network
         flat = parameters_to_vector(dynamics.parameters()).expand(len(moved), -1)
         begin, _ = last_layers(dynamics).aminmax()
         last = flat.index_add(1, places, moved)[:, begin : begin + network.output.weight.numel()]
