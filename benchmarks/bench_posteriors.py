@@ -127,8 +127,15 @@ def unseen_of(run: Run, case: str) -> Unseen:
     rates = lyapunov_exponents(flow, states, truth.times, system.dt, states.std((0, 1)))
     chosen = rates.argsort(descending=True)[:UNSEEN]
     time = 1 / float(rates[chosen].mean())
-    print(f"Lyapunov time {time:.3g}, exponents {rates[chosen].min():.3g} to {rates.max():.3g}", flush=True)
     samples = {f"{k} Lyapunov times": torch.tensor([round(k * time / system.dt)]) for k in HORIZONS}
+    positions = states[chosen, :, : system.dof]
+    every = positions[:, :: LONG // 10].flatten(0, 1)
+    least = float(mixture_crps(positions[:, -1], every[:, None].expand(-1, UNSEEN, -1)).mean())
+    print(
+        f"Lyapunov time {time:.3g}, exponents {rates[chosen].min():.3g} to {rates.max():.3g}; CRPS of the "
+        f"distribution of all states {least:.3g}",
+        flush=True,
+    )
     return Unseen(truth._replace(states=states[chosen], times=truth.times[chosen]), samples)
 
 
