@@ -74,6 +74,7 @@ NOT_RUN = {
     "ahnn.orbit ": "needs real measurements; tests/tracking/test_orbit_door.py runs it where they are",
     "ahnn.benchmark all": "hours: ten trainings for each model of each task",
     "bench_ensemble_bands": "an hour on shared cores: forty trainings",
+    "bench_posteriors": "half an hour: twenty-five trainings and their Monte Carlo chains",
     "ahnn.calibrate experiment": "an hour: twenty trainings",
 }
 """Commands that the slow suite leaves out, by a part of them, and why."""
