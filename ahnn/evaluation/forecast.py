@@ -28,6 +28,8 @@ from ahnn.uncertainty import forecast_columns
 
 DRAWS, MIDDLE = 200, 0.95
 """Draws of all causes for the coverage of calibrated bands, and the central fraction reported."""
+PARTS = (0.2, 0.4, 1.0)
+"""Parts of the forecast after which it is also tested separately."""
 
 
 class Forecast(NamedTuple):
@@ -43,7 +45,9 @@ class Forecast(NamedTuple):
         lost: number of trajectories whose first half no start fits; they are excluded from all other values.
         trajectories: number of trajectories tried.
         outliers: fraction of the measured values that were excluded as outliers.
-        single: errors of the last true state of the first trajectory, in standard deviations.
+        single: errors of the true states of the first trajectory after `PARTS` of its forecast, in standard
+            deviations; None if these are unknown.
+        parts: fractions of the true states of all trajectories after these parts within 1, 2 and 3.
     """
 
     coverage: tuple[float, ...]
@@ -54,7 +58,8 @@ class Forecast(NamedTuple):
     lost: int
     trajectories: int
     outliers: float = 0.0
-    single: tuple[float, ...] | None = None
+    single: tuple[tuple[float, ...], ...] | None = None
+    parts: tuple[tuple[float, ...], ...] | None = None
 
     def sentence(self) -> str:
         """Return the finding as a note under the table."""
@@ -128,6 +133,7 @@ def forecast(
     variances = Variances.of(causes, of_state, there, spread.shape[1])
     standard = variances.states.sqrt()
     off_true = None if true is None else (states[:, steps.ends] - true) / standard
+    known = None if off_true is None else after_parts(off_true, early)
     ahead, total = later & ~part.values.isnan(), 1 + variances.values
     rows, width = part.residuals(states[:, steps.ends]), total[ahead]
     off = rows / total.sqrt() if freedom is None else normal_scores(rows, freedom, variances.values)
@@ -142,7 +148,8 @@ def forecast(
         lost=int((~met).sum()),
         trajectories=len(met),
         outliers=1 - float(counted.double().mean()),
-        single=None if off_true is None else tuple(off_true[0, -1].tolist()),
+        single=None if known is None else tuple(tuple(row) for row in known[0].tolist()),
+        parts=None if known is None else tuple(shares(row[row.isfinite()]) for row in known.unbind(1)),
     )
 
 
@@ -233,6 +240,13 @@ def first_halves(segment: Segment) -> Tensor:
     """Return the mask of times in the first half of the measurements, (B, K + 1) bool."""
     there = ~segment.values.isnan().all(-1)
     return there.cumsum(1) <= there.sum(1, keepdim=True) / 2
+
+
+def after_parts(values: Tensor, early: Tensor) -> Tensor:
+    """Return the values (B, K + 1, D) at the ends of `PARTS` of the times after early ones, (B, 3, D)."""
+    first, samples = early.sum(1, keepdim=True), early.shape[1]
+    ends = first + ((samples - first) * torch.tensor(PARTS, dtype=torch.float64)).ceil().long() - 1
+    return values.gather(1, ends.unsqueeze(-1).expand(-1, -1, values.shape[-1]))
 
 
 def part_fitted(dynamics: Dynamics, segment: Segment, early: Tensor, robust: RobustName) -> Segment:
