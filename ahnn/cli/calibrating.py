@@ -40,6 +40,7 @@ class CalibrationRequest:
 
     draws: Count = 20
     spread: Annotated[float, Within(0, 1)] = 0.1
+    fitted: Annotated[float, Within(0, 1)] = 0.5
     jobs: Count = 1
     output: str = "runs/calibration"
     only: list[Count] | None = None  # only these draws, counted from 1; the command starts itself with it
@@ -72,14 +73,15 @@ def calibrate(arguments: list[str]) -> None:
     numbers = asked.only or range(1, asked.draws + 1)
     plan = [CalibrationDraw(number, Path(asked.output, f"draw_{number}")) for number in numbers]
     if asked.only is not None:
-        several(plan, overrides, asked.spread)
+        several(plan, overrides, asked)
         return
     constants_of(overrides, asked.spread, 1)
     require_writable(Path(asked.output))
 
     def words(share: Sequence[CalibrationDraw]) -> list[str]:
         numbers = ",".join(str(draw.number) for draw in share)
-        here = [f"only=[{numbers}]", f"spread={asked.spread}", f"output='{asked.output}'"]
+        own = [f"only=[{numbers}]", f"spread={asked.spread}", f"fitted={asked.fitted}"]
+        here = [*own, f"output='{asked.output}'"]
         return ["ahnn.calibrate", *overrides, *here]
 
     log.info("calibrate: %d draws in %s, %d finished", len(plan), asked.output, sum(map(finished, plan)))
@@ -113,12 +115,12 @@ def constants_of(overrides: list[str], spread: float, number: int) -> list[str]:
     return [f"system.{name}={cfg.system[name] * by}" for name, by in zip(names, factors, strict=True) if spread]
 
 
-def several(plan: Sequence[CalibrationDraw], overrides: list[str], spread: float) -> None:
+def several(plan: Sequence[CalibrationDraw], overrides: list[str], asked: CalibrationRequest) -> None:
     """Train and test draws one after another in this process; raises TrainingError if some failed."""
     failed = 0
     for draw in plan:
         try:
-            one(draw, overrides, spread)
+            one(draw, overrides, asked)
         except (TrainingError, UserError) as error:
             failed += 1
             log.info("draw %d: %s", draw.number, error)
@@ -127,7 +129,7 @@ def several(plan: Sequence[CalibrationDraw], overrides: list[str], spread: float
         raise TrainingError(message)
 
 
-def one(draw: CalibrationDraw, overrides: list[str], spread: float) -> None:
+def one(draw: CalibrationDraw, overrides: list[str], asked: CalibrationRequest) -> None:
     """Train and test in this process; the folder appears when both are done."""
     from ahnn.cli.compose import compose_job
     from ahnn.cli.preflight import quiet
@@ -135,7 +137,7 @@ def one(draw: CalibrationDraw, overrides: list[str], spread: float) -> None:
     from ahnn.cli.training import train_once
     from ahnn.jobs.closing import bands_of
 
-    constants = constants_of(overrides, spread, draw.number)
+    constants = constants_of(overrides, asked.spread, draw.number)
     texts = [*overrides, *OWN, *constants, f"seed={draw.number}", f"data.seed={draw.number}"]
     with contextlib.suppress(Occupied), appearing(draw.folder) as place:
         cfg = compose_job(texts, place / "run")
@@ -146,7 +148,7 @@ def one(draw: CalibrationDraw, overrides: list[str], spread: float) -> None:
 
         def evaluation(prepared: Prepared, seconds: float) -> float:
             del seconds
-            found.update(bands_of(prepared))
+            found.update(bands_of(prepared, asked.fitted))
             return 0.0
 
         train_once(cfg, None, texts, evaluation)

@@ -26,6 +26,8 @@ from ahnn.shooting.robust import RobustName, informative, loss_of
 from ahnn.types import Trajectories
 from ahnn.uncertainty import forecast_columns
 
+HALF = 0.5
+"""Fraction of the measurements of a trajectory to which the start of its forecast is fitted."""
 DRAWS, MIDDLE = 200, 0.95
 """Draws of all causes for the coverage of calibrated bands, and the central fraction reported."""
 PARTS = (0.2, 0.4, 1.0)
@@ -96,6 +98,7 @@ def forecast(
     spread: Tensor,
     robust: RobustName = "none",
     truth: Trajectories | None = None,
+    fitted: float = HALF,
 ) -> Forecast | None:
     """Evaluate forecast bands on second halves of measurements; None if no first half can be fitted.
 
@@ -106,14 +109,15 @@ def forecast(
         robust: robust loss of the training. With such a loss outliers are excluded here: in the first half
             values far from the robust fit, in the second half values far from the forecast.
         truth: true states of the trajectories, at these and possibly other times.
+        fitted: fraction of the measurements of a trajectory to which its start is fitted.
     """
-    early = first_halves(segment)
+    early = first_part(segment, fitted)
     first = part_fitted(dynamics, segment, early, robust)
-    fitted, _ = fit_to(dynamics, first)
-    met = (first.measured > 2 * first.instrument.dof) & (fitted.sums <= LOST * first.measured)
+    begun, _ = fit_to(dynamics, first)
+    met = (first.measured > 2 * first.instrument.dof) & (begun.sums <= LOST * first.measured)
     if not bool(met.any()):
         return None
-    starts, early, first, part = fitted.starts[met], early[met], first.rows(met), segment.rows(met)
+    starts, early, first, part = begun.starts[met], early[met], first.rows(met), segment.rows(met)
     freedom, told = part.instrument.freedom, informative(part.instrument.freedom)
     steps = steps_between(part.times, part.instrument.longest)
     states = path(dynamics.increment, starts, steps.lengths)
@@ -236,10 +240,10 @@ def judged(shares: tuple[float, ...], right: tuple[tuple[float, float], ...]) ->
     return "too narrow" if shares[1] < low else "too wide" if shares[1] > high else "right"
 
 
-def first_halves(segment: Segment) -> Tensor:
-    """Return the mask of times in the first half of the measurements, (B, K + 1) bool."""
+def first_part(segment: Segment, fraction: float) -> Tensor:
+    """Return the mask of times in the first part of the measurements, (B, K + 1) bool."""
     there = ~segment.values.isnan().all(-1)
-    return there.cumsum(1) <= there.sum(1, keepdim=True) / 2
+    return there.cumsum(1) <= there.sum(1, keepdim=True) * fraction
 
 
 def after_parts(values: Tensor, early: Tensor) -> Tensor:

@@ -118,10 +118,15 @@ def case_of(prepared: Prepared, run: Run) -> Case:
     return make_case(run.dynamics, prepared.data.splits, **learned, **named, caveat=plan.caveat)
 
 
-def bands_of(prepared: Prepared) -> dict[str, Any]:
-    """Take the final steps, and return the tests of bands and forecasts by name, without other scores."""
+def bands_of(prepared: Prepared, fitted: float) -> dict[str, Any]:
+    """Take the final steps, and return the tests of bands and forecasts by name, without other scores.
+
+    Args:
+        prepared: training run after its steps.
+        fitted: fraction of the measurements of an unseen trajectory to which its start is fitted.
+    """
     conclude_on_measurements(prepared)
-    return band_tests(case_of(prepared, load(prepared.folder)))
+    return band_tests(case_of(prepared, load(prepared.folder)), fitted)
 
 
 def require_converged(folders: Iterable[Path]) -> None:

@@ -159,6 +159,23 @@ def fit_starts(
     return Fitted(states, sums)
 
 
+def follow_starts(
+    trial: Trial, start: Tensor, segment: Segment, steps: Steps, hopeless: float = HOPELESS
+) -> Fitted:
+    """Fit each segment from the start (B, D) that fitted similar dynamics.
+
+    On a chaotic path a small change of the dynamics moves the end beyond the linear range. A segment that
+    is no longer explained is fitted again over growing spans.
+    """
+    fitted = refine(trial, start, segment, steps, FOLLOWING, SURE)
+    off = (fitted.sums > LOST * segment.measured).nonzero().squeeze(1)
+    if len(off):
+        again = fit_starts(trial, start[off], segment.rows(off), steps.rows(off), hopeless)
+        better = again.sums < fitted.sums[off]
+        fitted.states[off[better]], fitted.sums[off[better]] = again.rows(better)
+    return fitted
+
+
 def growing(intervals: int) -> list[int]:
     """Return the growing spans used before the complete one."""
     spans = []

@@ -13,7 +13,7 @@ from torch import nn
 from ahnn.data.segments import whole
 from ahnn.data.sensor import Sensor
 from ahnn.evaluation import evaluate
-from ahnn.evaluation.forecast import at, first_halves, forecast
+from ahnn.evaluation.forecast import at, first_part, forecast
 from ahnn.measurements import Segment
 from ahnn.rollouts import rollout
 from ahnn.types import Trajectories
@@ -116,7 +116,7 @@ def test_halves_are_of_what_was_measured():
     values[0, :20] = torch.nan
     values[1, 10:] = torch.nan
     values[2] = torch.nan
-    early = first_halves(segment._replace(values=values))
+    early = first_part(segment._replace(values=values), 0.5)
     there = ~values.isnan().all(-1)
     assert (early & there).sum(1).tolist() == [5, 5, 0]
     assert there.sum(1).tolist() == [11, 10, 0]
@@ -185,7 +185,7 @@ def test_trajectories_are_forecast_as_each_would_be_alone(monkeypatch):
         )
         assert alone is not None
         assert alone.states is not None
-        later = ~first_halves(one)
+        later = ~first_part(one, 0.5)
         count = int((later.unsqueeze(-1) & ~one.values.isnan()).sum())
         shares, numbers = shares + count * torch.tensor(alone.coverage, **DOUBLE), numbers + count
         there = 2 * int((later & ((k != 1) | (one.times < 0.795))).sum())
