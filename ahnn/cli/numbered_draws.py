@@ -71,11 +71,12 @@ def run_missing(
         children.add(child)
         said = f"{share[0].folder}: ended without a message"
         assert child.stderr is not None
-        for line in child.stderr:
-            if text := line.decode(errors="replace").strip():
-                said = text
-            if text.startswith(REPORT):
-                log.info("%s", text)
+        with child.stderr as lines:
+            for line in lines:
+                if text := line.decode(errors="replace").strip():
+                    said = text
+                if text.startswith(REPORT):
+                    log.info("%s", text)
         if child.wait() < SIGNALLED and not said.startswith(REPORT):  # stops by signal are reported elsewhere
             log.info("%s", said)
         return child.returncode == 0
