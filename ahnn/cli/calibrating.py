@@ -110,9 +110,9 @@ def constants_of(overrides: list[str], spread: float, number: int) -> list[str]:
         )
         raise UserError(message)
     drawn = random.Random(number)
-    names = type(source.truth).constants or [name for name in OTHERWISE if name in cfg.system][:1]
-    factors = [math.exp(spread * drawn.gauss(0, 1)) for _ in names]
-    return [f"system.{name}={cfg.system[name] * by}" for name, by in zip(names, factors, strict=True) if spread]
+    own = type(source.truth).constants or [name for name in OTHERWISE if name in cfg.system][:1]
+    names = own if spread else ()
+    return [f"system.{name}={cfg.system[name] * math.exp(spread * drawn.gauss(0, 1))}" for name in names]
 
 
 def several(plan: Sequence[CalibrationDraw], overrides: list[str], asked: CalibrationRequest) -> None:

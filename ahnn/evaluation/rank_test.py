@@ -14,7 +14,6 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from ahnn.evaluation import style
-from ahnn.evaluation.bands import NORMAL
 from ahnn.evaluation.independent_directions import DirectionTest, together
 
 TIMES = ("a quarter", "half", "the end")

@@ -188,9 +188,7 @@ def add_forecast(case: Case, uncertainty: Uncertainty, measured: Segment, findin
         findings.highlights.append(found.verdict())
 
 
-def forecast_of(
-    case: Case, uncertainty: Uncertainty, measured: Segment, fitted: float
-) -> Forecast | None:
+def forecast_of(case: Case, uncertainty: Uncertainty, measured: Segment, fitted: float) -> Forecast | None:
     """Return the coverage of forecasts from the first part of unseen measurements, if any can be fitted."""
     truth = case.test if case.fitted is None and len(case.test.states) == len(measured.values) else None
     return forecast(cast(Any, case.flow), measured, uncertainty.spread, case.robust, truth, fitted)
