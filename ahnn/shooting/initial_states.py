@@ -29,6 +29,8 @@ ROUGHLY, ITERATIONS = 3, 8
 """Number of iterations on a growing span, and on the complete one."""
 LOST = 25.0
 """Mean squared residual above which trained dynamics do not explain a segment."""
+WORSE = 3.0
+"""Multiple of the mean squared residual of the best segment above which a fit may have lost its path."""
 SETTLED = 1e-3
 """Change of a segment's chi-square below which the fit has converged."""
 SMALLEST, LARGEST = 1e-9, 1e9
@@ -165,10 +167,13 @@ def follow_starts(
     """Fit each segment from the start (B, D) that fitted similar dynamics.
 
     On a chaotic path a small change of the dynamics moves the end beyond the linear range. A segment that
-    is no longer explained is fitted again over growing spans.
+    fits much worse than the best one is fitted again over growing spans.
     """
     fitted = refine(trial, start, segment, steps, FOLLOWING, SURE)
-    off = (fitted.sums > LOST * segment.measured).nonzero().squeeze(1)
+    if not len(start):
+        return fitted
+    squares = fitted.sums / segment.measured
+    off = (squares > WORSE * squares.min().clamp(1.0, LOST)).nonzero().squeeze(1)
     if len(off):
         again = fit_starts(trial, start[off], segment.rows(off), steps.rows(off), hopeless)
         better = again.sums < fitted.sums[off]

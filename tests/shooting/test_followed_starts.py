@@ -11,7 +11,7 @@ from oscillators import DOUBLE
 from ahnn.integrators import INTEGRATORS
 from ahnn.jacobians import step_jacobians
 from ahnn.measurements import Instrument, Segment, State
-from ahnn.shooting.initial_states import FOLLOWING, LOST, SURE, Trial, fit_starts, follow_starts, refine
+from ahnn.shooting.initial_states import FOLLOWING, SURE, WORSE, Trial, fit_starts, follow_starts, refine
 from ahnn.shooting.path_sensitivities import path, steps_between
 from ahnn.shooting.robust import ROBUST
 
@@ -48,7 +48,7 @@ def test_a_segment_that_is_lost_from_its_old_start_is_fitted_again_over_growing_
             refine(after, truth, batch, steps),
         )
     )
-    lost = refined > LOST
+    lost = refined > WORSE
     assert int(lost.sum()) >= 2
     close(found[lost], best[lost], 1e-6)
     close(found[~lost], refined[~lost], 1e-12)
