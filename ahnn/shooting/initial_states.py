@@ -21,8 +21,8 @@ from ahnn.shooting.robust import ROBUST, Robust
 
 SHORTEST = 4
 """Minimum number of intervals of the first span."""
-GROWTH = 4
-"""Growth factor of spans."""
+GROWTH, SLOW_GROWTH = 4, 2
+"""Growth factors of spans, and of those of a segment that has lost its path."""
 HOPELESS = 1e9
 """Mean squared residual at which a segment is abandoned; poorly fitting ones are only limited."""
 ROUGHLY, ITERATIONS = 3, 8
@@ -134,9 +134,14 @@ def followed(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Fit
 
 @torch.no_grad()
 def fit_starts(
-    trial: Trial, start: Tensor, segment: Segment, steps: Steps, hopeless: float = HOPELESS
+    trial: Trial,
+    start: Tensor,
+    segment: Segment,
+    steps: Steps,
+    hopeless: float = HOPELESS,
+    growth: int = GROWTH,
 ) -> Fitted:
-    """Fit each segment from `start`, shape (B, D), over growing spans.
+    """Fit each segment from `start`, shape (B, D), over spans that grow by a factor.
 
     A segment whose mean squared residual exceeds `hopeless` on one span is not tried on longer ones. An
     outlier among the first samples spoils the initial values: a redescending loss could not recover, and is
@@ -146,7 +151,7 @@ def fit_starts(
     name = trial.robust.approach
     first = trial if name is None else trial._replace(robust=ROBUST[name])
     alive = torch.arange(len(start))
-    for span in growing(intervals):
+    for span in growing(intervals, growth):
         part, grid = segment.rows(alive).first(span), steps.rows(alive).first(span)
         fitted = refine(first, start[alive], part, grid, ROUGHLY)
         start[alive] = fitted.starts
@@ -175,16 +180,16 @@ def follow_starts(
     squares = fitted.sums / segment.measured
     off = (squares > WORSE * squares.min().clamp(1.0, LOST)).nonzero().squeeze(1)
     if len(off):
-        again = fit_starts(trial, start[off], segment.rows(off), steps.rows(off), hopeless)
+        again = fit_starts(trial, start[off], segment.rows(off), steps.rows(off), hopeless, SLOW_GROWTH)
         better = again.sums < fitted.sums[off]
         fitted.states[off[better]], fitted.sums[off[better]] = again.rows(better)
     return fitted
 
 
-def growing(intervals: int) -> list[int]:
+def growing(intervals: int, growth: int = GROWTH) -> list[int]:
     """Return the growing spans used before the complete one."""
     spans = []
-    while (intervals := -(-intervals // GROWTH)) >= SHORTEST:
+    while (intervals := -(-intervals // growth)) >= SHORTEST:
         spans.append(intervals)
     return spans[::-1]
 
