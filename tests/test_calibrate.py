@@ -10,8 +10,11 @@ import pytest
 from entry import call
 from scipy.stats import norm
 
-from ahnn.cli.calibrating import constants_of
-from ahnn.evaluation.rank_test import rank_table, ranks, uniformity
+from ahnn.cli import calibrating
+from ahnn.cli.calibrating import CalibrationDraw, CalibrationRequest, constants_of
+from ahnn.cli.numbered_draws import run_missing
+from ahnn.errors import TrainingError
+from ahnn.evaluation.rank_test import rank_table, ranks, share_line, uniformity
 
 
 def scores(count, width=1.0):
@@ -22,10 +25,11 @@ def scores(count, width=1.0):
         return [[drawn.gauss(0, width) for _ in range(2)] for _ in range(rows)]
 
     test = {"directions": 10, "scatter": width}
+    parts = [[0.5, k / 3, 1.0] for k in range(3)]
     return [
         {
             "uncertainty": {"single": off(3), "coverage": [0.6, 0.9, 1.0], "test": test},
-            "forecast": {"single": off(1)[0], "states": [0.7, 0.95, 1.0]},
+            "forecast": {"single": off(3), "states": [0.7, 0.95, 1.0], "parts": parts},
         }
         for _ in range(count)
     ]
@@ -33,12 +37,11 @@ def scores(count, width=1.0):
 
 def test_ranks_are_the_normal_distribution_of_errors_one_for_each_draw():
     found = ranks(made := scores(5))
-    assert list(found) == [f"{name}, {i}" for name in ("state at a quarter", *OTHERS) for i in (1, 2)]
-    expected = sorted(norm.cdf([one["forecast"]["single"][1] for one in made]))
-    assert found["forecast, 2"] == pytest.approx(expected)
-
-
-OTHERS = ("state at half", "state at the end", "forecast")
+    states = [f"state at {when}" for when in ("a quarter", "half", "the end")]
+    forecasts = [f"forecast at {when}" for when in ("a fifth", "two fifths", "the end")]
+    assert list(found) == [f"{name}, {i}" for name in (*states, *forecasts) for i in (1, 2)]
+    expected = sorted(norm.cdf([one["forecast"]["single"][1][1] for one in made]))
+    assert found["forecast at two fifths, 2"] == pytest.approx(expected)
 
 
 def test_what_is_absent_has_no_rank():
@@ -46,7 +49,7 @@ def test_what_is_absent_has_no_rank():
     made[0]["uncertainty"]["single"][0][0] = math.nan
     made[1]["forecast"]["single"] = None
     found = ranks(made)
-    assert len(found["state at a quarter, 1"]) == len(found["forecast, 1"]) == 2
+    assert len(found["state at a quarter, 1"]) == len(found["forecast at a fifth, 1"]) == 2
 
 
 @pytest.mark.parametrize(
@@ -55,10 +58,18 @@ def test_what_is_absent_has_no_rank():
 def test_bands_that_are_too_narrow_are_refused_and_right_ones_are_not(width, verdict, bands):
     text = rank_table(scores(60, width))
     assert f"ranks: {verdict}, least p" in text
-    assert "states, all trajectories: 60.0, 90.0, 100.0 % within 1, 2, 3 sigma, mean of 60 draws" in text
+    assert "within 1, 2, 3 sigma, all trajectories, mean of 60 draws:" in text
+    assert "states                    60.0, 90.0, 100.0 %, standard error 0.0 % within 2 sigma" in text
+    assert "forecasts at two fifths   50.0, 33.3, 100.0 %" in text
     assert f"errors along 600 independent directions are {width}.00" in text
     assert text.endswith(bands)
     assert "ranks: too few draws to tell" in rank_table(scores(3))
+
+
+def test_a_mean_of_fractions_has_the_standard_error_of_independent_draws():
+    """Of 0.9 and 1.0: mean 0.95, deviation 0.0707, divided by the root of two."""
+    found = share_line([[0.6, 0.9, 1.0], [0.8, 1.0, 1.0]])
+    assert found == "70.0, 95.0, 100.0 %, standard error 5.0 % within 2 sigma"
 
 
 def test_uniformity_of_one_rank_is_exact():
@@ -74,6 +85,60 @@ def test_a_draw_has_constants_of_its_own_the_same_each_time():
     assert name == "system.stiffness"
     assert 0 < abs(math.log(float(value) / 5.0)) < 0.5
     assert constants_of(words, 0.0, 1) == []
+
+
+def test_a_system_that_lists_no_constants_draws_its_gravity_or_its_mass():
+    for system, name in (("three_body", "gravity"), ("double_pendulum", "gravity"), ("henon_heiles", "mass")):
+        (found,) = constants_of([f"system={system}", "sensor=spring_states"], 0.1, 1)
+        assert found.startswith(f"system.{name}=")
+
+
+def test_draws_of_a_process_fail_alone(tmp_path, monkeypatch, caplog):
+    caplog.set_level("INFO", "ahnn")
+    done = []
+
+    def one(draw, *_):
+        if draw.number == 2:
+            raise TrainingError("diverged")
+        done.append(draw.number)
+
+    monkeypatch.setattr(calibrating, "one", one)
+    plan = [CalibrationDraw(number, tmp_path) for number in (1, 2, 3)]
+    with pytest.raises(TrainingError, match="1 of 3 draws failed"):
+        calibrating.several(plan, [], CalibrationRequest())
+    assert done == [1, 3]
+    assert "draw 2: diverged" in caplog.text
+
+
+def test_processes_share_the_draws_and_what_they_report_is_shown(tmp_path, monkeypatch, caplog):
+    caplog.set_level("INFO", "ahnn")
+    plan = [CalibrationDraw(number, tmp_path / f"draw_{number}") for number in range(1, 6)]
+    plan[0].folder.mkdir()
+    (plan[0].folder / "score.json").write_text("{}")
+    (tmp_path / "worker.py").write_text(WORKER)
+    shares = []
+
+    def words(share):
+        shares.append([draw.number for draw in share])
+        return ["worker", *(str(draw.folder) for draw in share)]
+
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    failed = run_missing(plan, words, 2, shared=True)
+    assert sorted(shares) == [[2, 4], [3, 5]]
+    assert [draw.number for draw in failed] == [5]
+    assert "draw_4 done" in caplog.text
+    assert "the last words" in caplog.text
+
+
+WORKER = """
+import pathlib, sys
+for folder in map(pathlib.Path, sys.argv[1:]):
+    if folder.name == "draw_5":
+        sys.exit("the last words")
+    folder.mkdir()
+    (folder / "score.json").write_text("{}")
+    print(f"draw {folder.name} done", file=sys.stderr)
+"""
 
 
 def test_what_is_finished_is_kept_shown_and_drawn(tmp_path, capfd, caplog):

@@ -7,7 +7,7 @@ import json
 import logging
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -103,7 +103,8 @@ def run(plan: list[DrawnTraining], asked: BenchmarkRequest) -> list[DrawnTrainin
     done = sum(map(finished, plan))
     log.info("benchmark: %d training runs in %s, %d of them finished", len(plan), asked.output, done)
 
-    def words(training: DrawnTraining) -> list[str]:
+    def words(share: Sequence[DrawnTraining]) -> list[str]:
+        (training,) = share
         own = [training.task, f"models=[{training.model}]", f"only={training.draw + 1}"]
         return ["ahnn.benchmark", *own, f"output='{asked.output}'"]
 

@@ -7,9 +7,11 @@ import json
 import logging
 import math
 import random
+import time
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from ahnn.arguments import Count, Within
 from ahnn.cli.early_stops import ended
@@ -17,15 +19,19 @@ from ahnn.cli.numbered_draws import SCORE, appearing, finished, run_missing, sco
 from ahnn.cli.pairs import read_pairs
 from ahnn.errors import Occupied, TrainingError, UserError
 from ahnn.evaluation.rank_test import rank_figure, rank_table
-from ahnn.evaluation.results import load_results
 from ahnn.evaluation.terminal import show
 from ahnn.files import require_writable, write_atomically
+
+if TYPE_CHECKING:
+    from ahnn.jobs.prepared import Prepared
 
 log = logging.getLogger("ahnn")
 FIGURE = "calibration.png"
 OWN = ("plugins=none", "evaluation=scores", "logger=none")
 DRAWN = ("run", "seed", "seeds", "data.seed", "ckpt")
 """Keys that differ from draw to draw."""
+OTHERWISE = ("gravity", "mass")
+"""Constants of which the first is drawn in a system that lists none."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +40,10 @@ class CalibrationRequest:
 
     draws: Count = 20
     spread: Annotated[float, Within(0, 1)] = 0.1
+    fitted: Annotated[float, Within(0, 1)] = 0.5
     jobs: Count = 1
     output: str = "runs/calibration"
-    only: Count | None = None  # only this draw, counted from 1; the command starts itself with it
+    only: list[Count] | None = None  # only these draws, counted from 1; the command starts itself with it
 
 
 class CalibrationDraw(NamedTuple):
@@ -63,23 +70,25 @@ def calibrate(arguments: list[str]) -> None:
             )
             raise UserError(message)
     asked = read_pairs(own or ["jobs=1"], CalibrationRequest, "")
-    numbers = range(1, asked.draws + 1) if asked.only is None else [asked.only]
+    numbers = asked.only or range(1, asked.draws + 1)
     plan = [CalibrationDraw(number, Path(asked.output, f"draw_{number}")) for number in numbers]
     if asked.only is not None:
-        one(plan[0], overrides, asked.spread)
+        several(plan, overrides, asked)
         return
     constants_of(overrides, asked.spread, 1)
     require_writable(Path(asked.output))
 
-    def words(draw: CalibrationDraw) -> list[str]:
-        here = [f"only={draw.number}", f"spread={asked.spread}", f"output='{asked.output}'"]
+    def words(share: Sequence[CalibrationDraw]) -> list[str]:
+        numbers = ",".join(str(draw.number) for draw in share)
+        own = [f"only=[{numbers}]", f"spread={asked.spread}", f"fitted={asked.fitted}"]
+        here = [*own, f"output='{asked.output}'"]
         return ["ahnn.calibrate", *overrides, *here]
 
     log.info(
         "calibrate: %d draws in %s, %d of them finished", len(plan), asked.output, sum(map(finished, plan))
     )
     with ended(lambda: "repeat the command to resume"):
-        failed = run_missing(plan, words, asked.jobs)
+        failed = run_missing(plan, words, asked.jobs, shared=True)
     if scores := [score(draw) for draw in plan if finished(draw)]:
         show(rank_table(scores))
         rank_figure(scores).savefig(Path(asked.output, FIGURE), dpi=120)
@@ -103,29 +112,51 @@ def constants_of(overrides: list[str], spread: float, number: int) -> list[str]:
         )
         raise UserError(message)
     drawn = random.Random(number)
-    names = type(source.truth).constants if spread else ()
+    own = type(source.truth).constants or [name for name in OTHERWISE if name in cfg.system][:1]
+    names = own if spread else ()
     return [f"system.{name}={cfg.system[name] * math.exp(spread * drawn.gauss(0, 1))}" for name in names]
 
 
-def one(draw: CalibrationDraw, overrides: list[str], spread: float) -> None:
+def several(plan: Sequence[CalibrationDraw], overrides: list[str], asked: CalibrationRequest) -> None:
+    """Train and test draws one after another in this process; raises TrainingError if some failed."""
+    failed = 0
+    for draw in plan:
+        try:
+            one(draw, overrides, asked)
+        except (TrainingError, UserError) as error:
+            failed += 1
+            log.info("draw %d: %s", draw.number, error)
+    if failed:
+        message = f"calibrate: {failed} of {len(plan)} draws failed, see above"
+        raise TrainingError(message)
+
+
+def one(draw: CalibrationDraw, overrides: list[str], asked: CalibrationRequest) -> None:
     """Train and test in this process; the folder appears when both are done."""
     from ahnn.cli.compose import compose_job
     from ahnn.cli.preflight import quiet
     from ahnn.cli.settings import check_settings
     from ahnn.cli.training import train_once
+    from ahnn.jobs.closing import bands_of
 
-    constants = constants_of(overrides, spread, draw.number)
+    constants = constants_of(overrides, asked.spread, draw.number)
     texts = [*overrides, *OWN, *constants, f"seed={draw.number}", f"data.seed={draw.number}"]
     with contextlib.suppress(Occupied), appearing(draw.folder) as place:
         cfg = compose_job(texts, place / "run")
         quiet()
         check_settings(cfg)
-        train_once(cfg, None, texts)
-        found = load_results(place / "run").numbers
-        if "uncertainty" not in found or "forecast" not in found:
-            message = f"calibrate: draw {draw.number} ended without bands"
+        found: dict[str, Any] = {}
+        begun = time.process_time()
+
+        def evaluation(prepared: Prepared, seconds: float) -> float:
+            del seconds
+            found.update(bands_of(prepared, asked.fitted))
+            return 0.0
+
+        train_once(cfg, None, texts, evaluation)
+        if "forecast" not in found:
+            message = "calibrate: expected bands and forecasts; the training explains no trajectory"
             raise TrainingError(message)
-        write_atomically(
-            place / SCORE, json.dumps({key: found[key] for key in ("uncertainty", "forecast")}).encode()
-        )
-        log.info("draw %d: finished", draw.number)
+        write_atomically(place / SCORE, json.dumps(found).encode())
+        seconds = time.process_time() - begun
+        log.info("draw %d: finished in %.0f s of processor time", draw.number, seconds)

@@ -1,4 +1,4 @@
-"""Draws of a study: one process for each, in parallel, and a folder that appears with its score."""
+"""Draws of a study: processes in parallel, and for each draw a folder that appears with its score."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ from ahnn.files import claimed, whole_folder
 log = logging.getLogger("ahnn")
 SIGNALLED = 128
 """Exit codes above this belong to signals."""
+REPORT = "draw "
+"""Beginning of the lines that a process with several draws logs at the end of each."""
 SCORE = "score.json"
 """Name of the file of a score, next to the run in the folder of a draw."""
 
@@ -44,40 +46,52 @@ def score(draw: NumberedDraw) -> dict[str, Any]:
     return read_json(draw.folder / SCORE)
 
 
-def run_missing(plan: Sequence[D], words: Callable[[D], list[str]], jobs: int) -> list[D]:
-    """Run the unfinished draws, each in a separate process; return the failed ones.
+def run_missing(
+    plan: Sequence[D], words: Callable[[Sequence[D]], list[str]], jobs: int, *, shared: bool = False
+) -> list[D]:
+    """Run the unfinished draws in separate processes; return the failed ones.
 
     Args:
         plan: all draws.
-        words: returns the arguments of `python -m` for a draw.
+        words: returns the arguments of `python -m` for the draws of a process.
         jobs: processes at a time.
+        shared: whether a process runs several draws, since its start takes as long as one of them.
     """
     left = [draw for draw in plan if not finished(draw)]
+    shares = [left[k::jobs] for k in range(min(jobs, len(left)))] if shared else [[draw] for draw in left]
     children: set[subprocess.Popen[bytes]] = set()
 
-    def start(draw: D) -> bool:
+    def start(share: Sequence[D]) -> bool:
         child = subprocess.Popen(
-            [sys.executable, "-m", *words(draw)],
+            [sys.executable, "-m", *words(share)],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             env={**os.environ, "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")},
         )
         children.add(child)
-        said = child.communicate()[1].decode(errors="replace").strip().splitlines()
-        if child.returncode < SIGNALLED:  # stops by signal are reported elsewhere
-            log.info("%s", said[-1] if said else f"{draw.folder}: ended without a message")
+        said = f"{share[0].folder}: ended without a message"
+        assert child.stderr is not None
+        with child.stderr as lines:
+            for line in lines:
+                if text := line.decode(errors="replace").strip():
+                    said = text
+                if text.startswith(REPORT):
+                    log.info("%s", text)
+        if child.wait() < SIGNALLED and not said.startswith(REPORT):  # stops by signal are reported elsewhere
+            log.info("%s", said)
         return child.returncode == 0
 
     pool = ThreadPoolExecutor(jobs)
     try:
-        done = [*pool.map(start, left)]
+        done = [*pool.map(start, shares)]
     except BaseException:
         for child in children:
             child.terminate()
         raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
-    return [draw for draw, well in zip(left, done, strict=True) if not well]
+    ended = [draw for share, well in zip(shares, done, strict=True) if not well for draw in share]
+    return [draw for draw in ended if not finished(draw)]
 
 
 @contextlib.contextmanager

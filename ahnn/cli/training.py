@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,6 +17,7 @@ from ahnn.files import claimed, require_writable
 
 if TYPE_CHECKING:
     from ahnn.data import Source
+    from ahnn.jobs.prepared import Prepared
 
 
 def train(cfg: DictConfig) -> float:
@@ -70,7 +71,12 @@ def check(cfg: DictConfig) -> None:
 train.check = check  # pyright: ignore[reportFunctionMemberAccess] - the sweeper receives only this function
 
 
-def train_once(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] | None = None) -> float:
+def train_once(
+    cfg: DictConfig,
+    source: Source | None = None,
+    asked: Sequence[str] | None = None,
+    evaluation: Callable[[Prepared, float], float] | None = None,
+) -> float:
     """Train and evaluate once; return the best validation loss, the objective of a search.
 
     With several devices the first process evaluates and writes the results; the others return NaN, which is
@@ -80,6 +86,7 @@ def train_once(cfg: DictConfig, source: Source | None = None, asked: Sequence[st
         cfg: configuration of one job.
         source: source of the trajectories; None: the system of the configuration.
         asked: overrides of the configuration; None: the overrides on the command line.
+        evaluation: evaluation of the fitted run, given the seconds of its steps; None: scores and reports.
     """
     with held():
         from ahnn.cli.prepare import prepare
@@ -99,7 +106,7 @@ def train_once(cfg: DictConfig, source: Source | None = None, asked: Sequence[st
 
         evaluated = f"evaluate it with python -m ahnn.evaluate run={folder}"
         with interruptible(trainer, lambda: evaluated if is_concluded(prepared) else go_on(cfg)):
-            return judge(prepared, seconds)
+            return (evaluation or judge)(prepared, seconds)
 
 
 def go_on(cfg: DictConfig) -> str:

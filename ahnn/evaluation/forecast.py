@@ -26,8 +26,12 @@ from ahnn.shooting.robust import RobustName, informative, loss_of
 from ahnn.types import Trajectories
 from ahnn.uncertainty import forecast_columns
 
+HALF = 0.5
+"""Fraction of the measurements of a trajectory to which the start of its forecast is fitted."""
 DRAWS, MIDDLE = 200, 0.95
 """Draws of all causes for the coverage of calibrated bands, and the central fraction reported."""
+PARTS = (0.2, 0.4, 1.0)
+"""Parts of the forecast after which it is also tested separately."""
 
 
 class Forecast(NamedTuple):
@@ -44,7 +48,9 @@ class Forecast(NamedTuple):
             other values.
         trajectories: number of trajectories tried.
         outliers: fraction of the measured values that were excluded as outliers.
-        single: errors of the last true state of the first trajectory, in standard deviations.
+        single: errors of the true states of the first trajectory after `PARTS` of its forecast, in standard
+            deviations; None if these are unknown.
+        parts: fractions of the true states of all trajectories after these parts within 1, 2 and 3.
     """
 
     coverage: tuple[float, ...]
@@ -55,7 +61,8 @@ class Forecast(NamedTuple):
     lost: int
     trajectories: int
     outliers: float = 0.0
-    single: tuple[float, ...] | None = None
+    single: tuple[tuple[float, ...], ...] | None = None
+    parts: tuple[tuple[float, ...], ...] | None = None
 
     def sentence(self) -> str:
         """Return the finding as a note under the table."""
@@ -92,6 +99,7 @@ def forecast(
     spread: Tensor,
     robust: RobustName = "none",
     truth: Trajectories | None = None,
+    fitted: float = HALF,
 ) -> Forecast | None:
     """Evaluate forecast bands on second halves of measurements; None if no first half can be fitted.
 
@@ -102,14 +110,15 @@ def forecast(
         robust: robust loss of the training. With such a loss outliers are excluded here: in the first half
             values far from the robust fit, in the second half values far from the forecast.
         truth: true states of the trajectories, at these and possibly other times.
+        fitted: fraction of the measurements of a trajectory to which its start is fitted.
     """
-    early = first_halves(segment)
+    early = first_part(segment, fitted)
     first = part_fitted(dynamics, segment, early, robust)
-    fitted, _ = fit_to(dynamics, first)
-    met = (first.measured > 2 * first.instrument.dof) & (fitted.sums <= LOST * first.measured)
+    begun, _ = fit_to(dynamics, first)
+    met = (first.measured > 2 * first.instrument.dof) & (begun.sums <= LOST * first.measured)
     if not bool(met.any()):
         return None
-    starts, early, first, part = fitted.starts[met], early[met], first.rows(met), segment.rows(met)
+    starts, early, first, part = begun.starts[met], early[met], first.rows(met), segment.rows(met)
     freedom, told = part.instrument.freedom, informative(part.instrument.freedom)
     steps = steps_between(part.times, part.instrument.longest)
     states = path(dynamics.increment, starts, steps.lengths)
@@ -129,6 +138,7 @@ def forecast(
     variances = Variances.of(causes, of_state, there, spread.shape[1])
     standard = variances.states.sqrt()
     off_true = None if true is None else (states[:, steps.ends] - true) / standard
+    known = None if off_true is None else after_parts(off_true, early)
     ahead, total = later & ~part.values.isnan(), 1 + variances.values
     rows, width = part.residuals(states[:, steps.ends]), total[ahead]
     off = rows / total.sqrt() if freedom is None else normal_scores(rows, freedom, variances.values)
@@ -143,7 +153,8 @@ def forecast(
         lost=int((~met).sum()),
         trajectories=len(met),
         outliers=1 - float(counted.double().mean()),
-        single=None if off_true is None else tuple(off_true[0, -1].tolist()),
+        single=None if known is None else tuple(tuple(row) for row in known[0].tolist()),
+        parts=None if known is None else tuple(shares(row[row.isfinite()]) for row in known.unbind(1)),
     )
 
 
@@ -230,10 +241,17 @@ def judged(shares: tuple[float, ...], right: tuple[tuple[float, float], ...]) ->
     return "too narrow" if shares[1] < low else "too wide" if shares[1] > high else "right"
 
 
-def first_halves(segment: Segment) -> Tensor:
-    """Return the mask of times in the first half of the measurements, (B, K + 1) bool."""
+def first_part(segment: Segment, fraction: float) -> Tensor:
+    """Return the mask of times in the first part of the measurements, (B, K + 1) bool."""
     there = ~segment.values.isnan().all(-1)
-    return there.cumsum(1) <= there.sum(1, keepdim=True) / 2
+    return there.cumsum(1) <= there.sum(1, keepdim=True) * fraction
+
+
+def after_parts(values: Tensor, early: Tensor) -> Tensor:
+    """Return the values (B, K + 1, D) at the ends of `PARTS` of the times after early ones, (B, 3, D)."""
+    first, samples = early.sum(1, keepdim=True), early.shape[1]
+    ends = first + ((samples - first) * torch.tensor(PARTS, dtype=torch.float64)).ceil().long() - 1
+    return values.gather(1, ends.unsqueeze(-1).expand(-1, -1, values.shape[-1]))
 
 
 def part_fitted(dynamics: Dynamics, segment: Segment, early: Tensor, robust: RobustName) -> Segment:

@@ -14,10 +14,10 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from ahnn.evaluation import style
-from ahnn.evaluation.bands import NORMAL
 from ahnn.evaluation.independent_directions import DirectionTest, together
 
 TIMES = ("a quarter", "half", "the end")
+PARTS = ("a fifth", "two fifths", "the end")
 REFUSED = 0.05
 """Probability of rejecting calibrated bands, over all tests together."""
 DRAWS = 20
@@ -30,10 +30,9 @@ def ranks(scores: Sequence[Score]) -> dict[str, list[float]]:
     """Return the ranks in (0, 1) of each quantity, one for each draw, sorted."""
     found: dict[str, list[float]] = {}
     for one in scores:
-        errors = {
-            f"state at {when}": row for when, row in zip(TIMES, one["uncertainty"]["single"], strict=True)
-        }
-        for name, row in {**errors, "forecast": one["forecast"]["single"] or ()}.items():
+        rows = dict(zip((f"state at {when}" for when in TIMES), one["uncertainty"]["single"], strict=True))
+        rows |= zip((f"forecast at {when}" for when in PARTS), one["forecast"]["single"] or (), strict=False)
+        for name, row in rows.items():
             for i, error in enumerate(row):
                 if math.isfinite(error):
                     found.setdefault(f"{name}, {i + 1}", []).append(0.5 + 0.5 * math.erf(error / 2**0.5))
@@ -57,25 +56,43 @@ def rank_table(scores: Sequence[Score]) -> str:
     enough = "uniform" if len(scores) >= DRAWS else "too few draws to tell"
     verdict = enough if least * len(every) >= REFUSED else "not uniform"
     lines.append(f"ranks: {verdict}, least p {least:.2g} of {len(every)} tests")
-    for name, part, key in (("states", "uncertainty", "coverage"), ("forecasts", "forecast", "states")):
-        means = [sum(one[part][key][k] for one in scores) / len(scores) for k in range(len(NORMAL))]
-        shares = ", ".join(f"{100 * mean:.1f}" for mean in means)
-        lines.append(
-            f"{name}, all trajectories: {shares} % within 1, 2, 3 sigma, mean of {len(scores)} draws"
-        )
+    lines.append(f"within 1, 2, 3 sigma, all trajectories, mean of {len(scores)} draws:")
+    lines += [f"  {name:<26}{share_line(rows)}" for name, rows in coverages(scores).items()]
     tests = [one["uncertainty"]["test"] for one in scores]
     every_draw = together([DirectionTest(test["directions"], test["scatter"]) for test in tests])
     return "\n".join([*lines, f"bands of states, all draws: {every_draw.sentence()}"])
+
+
+def coverages(scores: Sequence[Score]) -> dict[str, list[Sequence[float]]]:
+    """Return the fractions of states and forecasts within 1, 2 and 3 sigma, for each draw."""
+    found = {
+        "states": [one["uncertainty"]["coverage"] for one in scores],
+        "forecasts": [one["forecast"]["states"] for one in scores],
+    }
+    for k, when in enumerate(PARTS):
+        found[f"forecasts at {when}"] = [one["forecast"]["parts"][k] for one in scores]
+    return found
+
+
+def share_line(rows: Sequence[Sequence[float]]) -> str:
+    """Format the means of fractions (N, 3), and the standard error of the mean within 2 sigma."""
+    means = [sum(column) / len(rows) for column in zip(*rows, strict=True)]
+    squares = sum((row[1] - means[1]) ** 2 for row in rows) / max(len(rows) - 1, 1)
+    shares = ", ".join(f"{100 * mean:.1f}" for mean in means)
+    return f"{shares} %, standard error {100 * (squares / len(rows)) ** 0.5:.1f} % within 2 sigma"
 
 
 def rank_figure(scores: Sequence[Score]) -> Figure:
     """Draw the fraction of ranks below each value, minus that value, and the 95 % band of uniform ranks."""
     figure = style.canvas(7, 4)
     axes = figure.subplots()
-    every = ranks(scores)
-    for name, values in every.items():
+    colours: dict[str, str] = {}
+    for name, values in ranks(scores).items():
         steps = [(k + 1) / len(values) - value for k, value in enumerate(values)]
-        axes.step([0, *values, 1], [0, *steps, 0], where="post", label=name, lw=1)
+        quantity = name.rpartition(",")[0]
+        label = None if quantity in colours else quantity
+        colour = colours.setdefault(quantity, f"C{len(colours)}")
+        axes.step([0, *values, 1], [0, *steps, 0], where="post", label=label, lw=1, color=colour)
     edge = 1.358 / len(scores) ** 0.5  # of Kolmogorov's distribution, 95 %
     axes.axhspan(-edge, edge, color=style.BAND, alpha=0.3, lw=0, label="uniform, 95 %")
     axes.set_xlabel("rank of the truth in its band")

@@ -12,7 +12,7 @@ from ahnn.evaluation.baselines import Worth, worth
 from ahnn.evaluation.case import Case, EvaluationPlugin, Findings, Row
 from ahnn.evaluation.conservation import energy_trend, time_test
 from ahnn.evaluation.force_bound import force_bound
-from ahnn.evaluation.forecast import forecast
+from ahnn.evaluation.forecast import HALF, Forecast, forecast
 from ahnn.evaluation.friction_test import friction_test
 from ahnn.evaluation.goodness_of_fit import explain
 from ahnn.evaluation.open_loop import open_loop
@@ -23,6 +23,7 @@ from ahnn.evaluation.verdict import verdict
 from ahnn.measurements import Segment
 from ahnn.progress import note as show
 from ahnn.progress import stage
+from ahnn.rollouts import clock_of, rollout
 from ahnn.uncertainty import Uncertainty, learned_constants
 
 
@@ -75,6 +76,27 @@ def add_tests(case: Case, findings: Findings, *, figures: bool) -> Worth:
         show("bound of the true force")
         add_force_bound(case, findings)
     return value
+
+
+def band_tests(case: Case, fitted: float) -> dict[str, Any]:
+    """Return the numbers `uncertainty` and `forecast` of an evaluation, without the other tests.
+
+    Args:
+        case: case to evaluate.
+        fitted: fraction of the measurements of an unseen trajectory to which its start is fitted.
+    """
+    known, states = case.uncertainty, case.test.states
+    if known is None or case.measured is None:
+        return {}
+    clock = case.test.clock(clock_of(case.flow))
+    with stage("evaluation"):
+        prediction = rollout(
+            case.flow, states[:, 0], case.dt, states.shape[1], longest=case.longest, clock=clock
+        )
+        band = banded(case, known, prediction)
+        ahead = forecast_of(case, known, case.measured, fitted)
+    found = {"uncertainty": {"inflation": known.inflation, **known.about, **band.numbers()}}
+    return found if ahead is None else {**found, "forecast": ahead.numbers()}
 
 
 def add_goodness(case: Case, measured: Segment, findings: Findings) -> None:
@@ -159,12 +181,17 @@ def add_band(case: Case, uncertainty: Uncertainty, findings: Findings, *, figure
 
 def add_forecast(case: Case, uncertainty: Uncertainty, measured: Segment, findings: Findings) -> None:
     """Add the coverage of forecasts from the first half of unseen measurements."""
-    truth = case.test if case.fitted is None and len(case.test.states) == len(measured.values) else None
-    found = forecast(cast(Any, case.flow), measured, uncertainty.spread, case.robust, truth)
+    found = forecast_of(case, uncertainty, measured, HALF)
     if found is not None:
         findings.tell(found.sentence())
         findings.numbers["forecast"] = found.numbers()
         findings.highlights.append(found.verdict())
+
+
+def forecast_of(case: Case, uncertainty: Uncertainty, measured: Segment, fitted: float) -> Forecast | None:
+    """Return the coverage of forecasts from the first part of unseen measurements, if any can be fitted."""
+    truth = case.test if case.fitted is None and len(case.test.states) == len(measured.values) else None
+    return forecast(cast(Any, case.flow), measured, uncertainty.spread, case.robust, truth, fitted)
 
 
 def add_force_bound(case: Case, findings: Findings) -> None:

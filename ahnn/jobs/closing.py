@@ -14,11 +14,13 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from ahnn.checkpoints import as_stored, checksum, read_weights, replace_weights
 from ahnn.errors import TrainingError
 from ahnn.evaluation import report
+from ahnn.evaluation.case import Case
 from ahnn.evaluation.make_case import make_case
 from ahnn.evaluation.results import FILE, load_results
+from ahnn.evaluation.run import band_tests
 from ahnn.evaluation.sinks import TensorBoardSink
 from ahnn.jobs.prepared import Prepared
-from ahnn.loading import load, made, weights_path
+from ahnn.loading import Run, load, made, weights_path
 from ahnn.measurements import UnknownNoise
 from ahnn.progress import stage
 from ahnn.training import Shooting
@@ -90,6 +92,7 @@ def judge(prepared: Prepared, seconds: float, steps: int | None = None) -> float
     if data.stages is not None:
         seconds += conclude_on_measurements(prepared)
     run = load(folder)
+    case = case_of(prepared, run)
     loss = math.nan if (found := run.about.get("val_loss")) is None else float(found)
     training = {
         "seed": prepared.seed,
@@ -99,15 +102,31 @@ def judge(prepared: Prepared, seconds: float, steps: int | None = None) -> float
         "parameters": sum(p.numel() for p in prepared.model.parameters()),
         "val_loss": loss,
     }
-    named = {"label": prepared.label, "seed": plan.seed, "folder": folder, "domain": run.domain}
-    learned = {"uncertainty": run.uncertainty, "robust": prepared.robust, "noise": run.about.get("noise")}
-    case = make_case(run.dynamics, data.splits, **learned, **named, caveat=plan.caveat)
     boards = [logger for logger in trainer.loggers if isinstance(logger, TensorBoardLogger)]
     sinks = [TensorBoardSink(board, plan.searched) for board in boards]
     report(case, plan.plugins, training, more=sinks, **plan.report)
     if boards:
         log.info("TensorBoard: tensorboard --logdir %s", folder)
     return loss
+
+
+def case_of(prepared: Prepared, run: Run) -> Case:
+    """Return the evaluation case of a training run."""
+    plan = prepared.assessment
+    named = {"label": prepared.label, "seed": plan.seed, "folder": prepared.folder, "domain": run.domain}
+    learned = {"uncertainty": run.uncertainty, "robust": prepared.robust, "noise": run.about.get("noise")}
+    return make_case(run.dynamics, prepared.data.splits, **learned, **named, caveat=plan.caveat)
+
+
+def bands_of(prepared: Prepared, fitted: float) -> dict[str, Any]:
+    """Take the final steps, and return the tests of bands and forecasts by name, without other scores.
+
+    Args:
+        prepared: training run after its steps.
+        fitted: fraction of the measurements of an unseen trajectory to which its start is fitted.
+    """
+    conclude_on_measurements(prepared)
+    return band_tests(case_of(prepared, load(prepared.folder)), fitted)
 
 
 def require_converged(folders: Iterable[Path]) -> None:

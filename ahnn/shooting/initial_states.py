@@ -21,14 +21,16 @@ from ahnn.shooting.robust import ROBUST, Robust
 
 SHORTEST = 4
 """Minimum number of intervals of the first span."""
-GROWTH = 4
-"""Growth factor of spans."""
+GROWTH, SLOW_GROWTH = 4, 2
+"""Growth factors of spans, and of those of a segment that has lost its path."""
 HOPELESS = 1e9
 """Mean squared residual at which a segment is abandoned; poorly fitting ones are only limited."""
 ROUGHLY, ITERATIONS = 3, 8
 """Number of iterations on a growing span, and on the complete one."""
 LOST = 25.0
 """Mean squared residual above which trained dynamics do not explain a segment."""
+WORSE = 3.0
+"""Multiple of the mean squared residual of the best segment above which a fit may have lost its path."""
 SETTLED = 1e-3
 """Change of a segment's chi-square below which the fit has converged."""
 SMALLEST, LARGEST = 1e-9, 1e9
@@ -132,9 +134,14 @@ def followed(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Fit
 
 @torch.no_grad()
 def fit_starts(
-    trial: Trial, start: Tensor, segment: Segment, steps: Steps, hopeless: float = HOPELESS
+    trial: Trial,
+    start: Tensor,
+    segment: Segment,
+    steps: Steps,
+    hopeless: float = HOPELESS,
+    growth: int = GROWTH,
 ) -> Fitted:
-    """Fit each segment from `start`, shape (B, D), over growing spans.
+    """Fit each segment from `start`, shape (B, D), over spans that grow by a factor.
 
     A segment whose mean squared residual exceeds `hopeless` on one span is not tried on longer ones. An
     outlier among the first samples spoils the initial values: a redescending loss could not recover, and is
@@ -144,7 +151,7 @@ def fit_starts(
     name = trial.robust.approach
     first = trial if name is None else trial._replace(robust=ROBUST[name])
     alive = torch.arange(len(start))
-    for span in growing(intervals):
+    for span in growing(intervals, growth):
         part, grid = segment.rows(alive).first(span), steps.rows(alive).first(span)
         fitted = refine(first, start[alive], part, grid, ROUGHLY)
         start[alive] = fitted.starts
@@ -159,10 +166,30 @@ def fit_starts(
     return Fitted(states, sums)
 
 
-def growing(intervals: int) -> list[int]:
+def follow_starts(
+    trial: Trial, start: Tensor, segment: Segment, steps: Steps, hopeless: float = HOPELESS
+) -> Fitted:
+    """Fit each segment from the start (B, D) that fitted similar dynamics.
+
+    On a chaotic path a small change of the dynamics moves the end beyond the linear range. A segment that
+    fits much worse than the best one is fitted again over growing spans.
+    """
+    fitted = refine(trial, start, segment, steps, FOLLOWING, SURE)
+    if not len(start):
+        return fitted
+    squares = fitted.sums / segment.measured
+    off = (squares > WORSE * squares.min().clamp(1.0, LOST)).nonzero().squeeze(1)
+    if len(off):
+        again = fit_starts(trial, start[off], segment.rows(off), steps.rows(off), hopeless, SLOW_GROWTH)
+        better = again.sums < fitted.sums[off]
+        fitted.states[off[better]], fitted.sums[off[better]] = again.rows(better)
+    return fitted
+
+
+def growing(intervals: int, growth: int = GROWTH) -> list[int]:
     """Return the growing spans used before the complete one."""
     spans = []
-    while (intervals := -(-intervals // GROWTH)) >= SHORTEST:
+    while (intervals := -(-intervals // growth)) >= SHORTEST:
         spans.append(intervals)
     return spans[::-1]
 

@@ -12,7 +12,7 @@ from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.measurements import Segment
 from ahnn.progress import note
-from ahnn.shooting.initial_states import FOLLOWING, SURE, Fitted, Trial, followed, refine
+from ahnn.shooting.initial_states import Fitted, Trial, follow_starts, followed
 from ahnn.shooting.path_sensitivities import Steps
 from ahnn.shooting.quadrature import coarse
 from ahnn.shooting.robust import Robust
@@ -125,7 +125,7 @@ class WideProblem(ShootingProblem):
     def follow(self, theta: Tensor) -> None:
         """Refit the initial states after a step to theta, shape (P,)."""
         trial, near = self.trial(theta), lambda: self.refitted(theta).starts
-        fit = lambda: refine(trial, near(), self.batch, self.steps, FOLLOWING, SURE)  # noqa: E731
+        fit = lambda: follow_starts(trial, near(), self.batch, self.steps)  # noqa: E731
         fitted, self._linear = self._paths(trial, fit, self.batch, self.steps), None
         self.fitted, self.starts, self.limit = (
             fitted,

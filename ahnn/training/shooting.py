@@ -26,16 +26,14 @@ from ahnn.errors import UserError
 from ahnn.measurements import Segment
 from ahnn.measurements.smoothing import guess
 from ahnn.shooting.initial_states import (
-    FOLLOWING,
     HOPELESS,
-    SURE,
     Fitted,
     Linearised,
     Trial,
     fit_starts,
+    follow_starts,
     followed,
     linearised,
-    refine,
     refit,
 )
 from ahnn.shooting.normal_points import normal_points
@@ -159,7 +157,7 @@ class ShootingProblem:
         """Fit the initial states of all segments, from approximate ones (B, D) or from measurements."""
         if starts is None:
             return fit_starts(trial, guess(batch), batch, steps, hopeless)
-        return refine(trial, starts, batch, steps, FOLLOWING, SURE)
+        return follow_starts(trial, starts, batch, steps, hopeless)
 
     @property
     def cost(self) -> Tensor:
