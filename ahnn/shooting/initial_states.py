@@ -175,6 +175,14 @@ def follow_starts(
     fits much worse than the best one is fitted again over growing spans.
     """
     fitted = refine(trial, start, segment, steps, FOLLOWING, SURE)
+    return regained(trial, fitted, start, segment, steps, hopeless)
+
+
+@torch.no_grad()
+def regained(
+    trial: Trial, fitted: Fitted, start: Tensor, segment: Segment, steps: Steps, hopeless: float = HOPELESS
+) -> Fitted:
+    """Fit segments that fit much worse than the best one again from the starts (B, D), over slow spans."""
     if not len(start):
         return fitted
     squares = fitted.sums / segment.measured

@@ -11,8 +11,9 @@ from torch import Tensor
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.measurements import Segment
+from ahnn.measurements.smoothing import guess
 from ahnn.progress import note
-from ahnn.shooting.initial_states import Fitted, Trial, follow_starts, followed
+from ahnn.shooting.initial_states import LOST, Fitted, Trial, follow_starts, followed, regained
 from ahnn.shooting.path_sensitivities import Steps
 from ahnn.shooting.quadrature import coarse
 from ahnn.shooting.robust import Robust
@@ -89,9 +90,15 @@ class WideProblem(ShootingProblem):
         self, trial: Trial, starts: Tensor | None, batch: Segment, steps: Steps, hopeless: float
     ) -> Fitted:
         """Fit the initial states; with a journal, paths are computed only from them: bit-identical."""
-        return self._paths(
-            trial, lambda: super(WideProblem, self).fit(trial, starts, batch, steps, hopeless), batch, steps
-        )
+
+        def fitted() -> Fitted:
+            found = super(WideProblem, self).fit(trial, starts, batch, steps, hopeless)
+            explained = bool((found.sums <= LOST * batch.measured).any())
+            if starts is not None or not explained:  # dynamics that explain nothing: no path was lost
+                return found
+            return regained(trial, found, guess(batch), batch, steps, hopeless)
+
+        return self._paths(trial, fitted, batch, steps)
 
     def _paths(self, trial: Trial, fit: Callable[[], Fitted], batch: Segment, steps: Steps) -> Fitted:
         if not is_active():
