@@ -98,14 +98,16 @@ def ordered(track: Track, column: str, note: Note = refuse) -> Track:
 def restarts(times: Array) -> NDArray[np.int64]:
     """Return the samples at which times fall back, if each falls to the first time, to half a median step.
 
-    Such rows are several trajectories below each other; otherwise, the result is empty.
+    Such rows are several trajectories below each other; otherwise, or if one of them is a single sample, the
+    result is empty.
     """
     steps = np.diff(times)
     found = np.flatnonzero(steps < 0) + 1
     if not (steps > 0).any():
         return found[:0]
     near = np.abs(times[found] - times[0]) <= 0.5 * np.median(steps[steps > 0])
-    return found if near.all() else found[:0]
+    lengths = np.diff(np.concatenate(([0], found, [len(times)])))
+    return found if near.all() and lengths.min() > 1 else found[:0]
 
 
 def filled(track: Track, gap: float, *, linear: bool = False) -> Track:

@@ -147,7 +147,7 @@ def test_a_frame_that_rotates_is_warned_of(tmp_path, caplog):
     ("old", "new", "expected"),
     [
         ("CCSDS_OEM_VERS = 2.0\n", "", "row 2: expected CCSDS_OEM_VERS first"),
-        ("7.48", "7,48", "row 19, column Y_DOT: expected a number; received '7,48'"),
+        ("7.48", "7,48", "row 19, column Y_DOT: expected a number with a decimal point; received '7,48'"),
         ("7.48", "nan", "row 19, column Y_DOT: expected a number; received none"),
         ("-1.0 7.44", "-1.0", "row 20: expected an epoch, three positions and three velocities; received 6"),
         ("2017-001T", "2017-366T", "row 20, column EPOCH: expected a date of the calendar"),

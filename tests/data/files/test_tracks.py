@@ -104,6 +104,9 @@ def test_times_that_restart_are_one_fault():
     faults.clear()
     ordered(track([0, 1, 2, 0, 1, 2, 1]), "t", faults.append)  # the last is out of order
     assert [fault.place.row for fault in faults] == [5, 6, 7, 8]
+    faults.clear()
+    ordered(track([0, 1, 2, 0]), "t", faults.append)  # one wrong time
+    assert [fault.expected for fault in faults] == ["a time of a after 2.0 of row 4"]
 
 
 def test_shorter_trajectories_end_with_nothing():

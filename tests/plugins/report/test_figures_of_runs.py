@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
@@ -20,7 +18,6 @@ from ahnn_plugins.report.figures import draw
 from ahnn_plugins.report.figures.accelerations import reference_orbit, terms
 from ahnn_plugins.report.figures.equations import system_of
 from ahnn_plugins.report.figures.models import slots
-from ahnn_plugins.report.paper import printed_value
 
 
 @pytest.fixture(scope="module")
@@ -132,28 +129,6 @@ def test_a_filter_stands_in_its_band_with_its_updates(springs):
     assert "Test trajectory 2 of AHNN5_7" in state.caption
 
 
-def test_scores_stand_beside_the_floor_and_the_paper(springs):
-    panel = drawn(springs)["mass_spring_rmse_true"].panels[0]
-    assert panel.ticks == ("MLP", "AHNN3", "AHNN5")
-    ours, seeds = (s for s in panel.series if s.label == "AHNN5")
-    values = [1e-4 * (1 + seed / 1000) for seed in (7, 201)]
-    assert (ours.role, seeds.role) == ("model", "seed")
-    assert ours.y.tolist() == pytest.approx([math.sqrt(values[0] * values[1])])
-    assert sorted(seeds.y.tolist()) == pytest.approx(values)
-    assert "geometric mean" in drawn(springs)["mass_spring_rmse_true"].spread
-    assert "tables give mean ± standard deviation" in drawn(springs)["mass_spring_rmse_true"].caption
-    (paper,) = [s for s in panel.series if s.role == "paper"]
-    assert any(value == pytest.approx(9.173e-3) for value in paper.y.tolist())
-    windows = drawn(springs)["mass_spring_windows"].panels[0]
-    assert windows.ticks == ("W = 3", "W = 5")
-
-
-def test_printed_numbers():
-    assert printed_value("molniya", "ahnn5", "perturbed", "position", ukf=True) == 50.38
-    assert printed_value("mass_spring", "NODE", "true", "energy") == 5.2546e-4
-    assert printed_value("pendulum", "NODE", "true", "position") is None
-
-
 def test_a_model_has_one_slot_in_every_figure(springs, orbits):
     collection = collect([springs, orbits])
     assert slots(collection) == {"MLP": 4, "HNN": 2, "AHNN3": 1, "AHNN5": 0}
@@ -203,11 +178,6 @@ def test_data_without_equations_have_neither_energy_nor_floor(tmp_path):
     assert "mine_error_true" in figures  # of a single run, sample by sample
 
 
-def test_runs_without_arrays_have_scores_alone(tmp_path):
-    write(tmp_path / "a", results(SPRING.space, "HNN", 7), None, None)
-    assert set(drawn(tmp_path)) == {"mass_spring_rmse_true", "mass_spring_rmse_perturbed"}
-
-
 def test_measured_trajectories_are_called_measurements(tmp_path):
     states = arrays(SPRING, "HNN", 7)
     measured = states["truth"].clone()
@@ -230,13 +200,6 @@ def test_other_test_trajectories_are_left_out_and_named(tmp_path):
     figure = drawn(tmp_path)["mass_spring_energy"]
     assert [s.label for s in figure.panels[0].series] == ["AHNN3", "AHNN5", "floor", "truth"]
     assert "Omitted, since their test trajectories differ: MLP_7." in figure.caption
-
-
-def test_later_evaluations_of_a_run_are_no_seeds(tmp_path):
-    folder = run(tmp_path, SPRING, "AHNN5")
-    run(folder / "evaluations", SPRING, "AHNN5", 8)
-    (panel, *_) = drawn(tmp_path)["mass_spring_rmse_true"].panels
-    assert all(series.role != "seed" for series in panel.series)
 
 
 @pytest.mark.parametrize(

@@ -119,15 +119,12 @@ def _dots(label: str, dots: Sequence[Dot], role: Role, slot: int = 0) -> list[Se
 
 
 def _merged(series: Sequence[Series]) -> tuple[Series, ...]:
-    """Return series, with the series of floors and of the paper merged and placed last."""
+    """Return series, merged if label and role agree; floors and values of the paper are last."""
     found: dict[tuple[str, Role], Series] = {}
     for each in series:
         key = each.label, each.role
-        old = found.get(key)
-        if old is None or each.role in ("model", "filter"):
-            found[key] = each
-        else:
-            found[key] = old._replace(x=torch.cat((old.x, each.x)), y=torch.cat((old.y, each.y)))
+        old = found.get(key, each._replace(x=each.x[:0], y=each.y[:0]))
+        found[key] = old._replace(x=torch.cat((old.x, each.x)), y=torch.cat((old.y, each.y)))
     return tuple(sorted(found.values(), key=lambda each: each.role in ("floor", "paper")))
 
 
