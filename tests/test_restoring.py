@@ -118,7 +118,7 @@ def test_more_epochs_than_planned_are_a_new_run_from_the_weights(finished, tmp_p
     keys = ("scheduler.max_epochs", "scheduler.upper_bound", "trainer.max_epochs")
     assert differences == [f"  settings.{key}: expected 3, received 4" for key in keys]
     said = f"weights={tmp_path / 'run'}"
-    assert remedy == f"To train further, start a new run from these weights: {said} run=NEW"
+    assert remedy == f"To train the same model further, start a new run: {said} run=NEW"
     assert call("ahnn.train", *more, said, f"run={tmp_path / 'new'}") == 0
     assert load_results(tmp_path / "new").training["steps"] == 40
 

@@ -149,9 +149,9 @@ def test_a_cache_that_cannot_be_written_is_one_message(tmp_path, capfd):
 
 
 CHECKPOINTS = {
-    "architecture": (["model.network.depth=3"], ["model.network.depth", "expected 3", "received 2"]),
+    "architecture": (["model.network.depth=3"], ["model.network.depth", "expected 2", "received 3"]),
     "model": (["model=node"], ["model.hamiltonian"]),
-    "system": (["system.stiffness=7.0"], ["parameters.stiffness", "expected 7.0", "received 5.0"]),
+    "system": (["system.stiffness=7.0"], ["parameters.stiffness", "expected 5.0", "received 7.0"]),
 }
 
 

@@ -36,7 +36,7 @@ def require_resumable(path: Path, model: Any, trainer: Any) -> None:
     parts = ("data", "settings")
     wanted, found = ({k: known.get(k, {}) for k in parts} for known in (model.about, content["ahnn"]))
     run = path.parent.parent if path.parent.name == "checkpoints" else "DIR"
-    remedy = f"To train further, start a new run from these weights: weights={run} run=NEW"
+    remedy = f"To train the same model further, start a new run: weights={run} run=NEW"
     require_same(f"checkpoint {path}", found, wanted, remedy)
     require_restorable(f"checkpoint {path}", model, trainer, content)
 

@@ -13,7 +13,7 @@ from torch import nn
 from ahnn.data.segments import whole
 from ahnn.data.sensor import Sensor
 from ahnn.evaluation import evaluate
-from ahnn.evaluation.forecast import at, forecast
+from ahnn.evaluation.forecast import at, first_part, forecast
 from ahnn.measurements import Segment
 from ahnn.rollouts import rollout
 from ahnn.types import Trajectories

@@ -43,13 +43,8 @@ def test_parts_of_a_forecast_end_at_a_fifth_two_fifths_and_its_last_time():
 def test_a_start_is_fitted_to_a_part_and_states_after_parts_are_counted():
     truth = trajectories(LONG, 400, 3)
     segment = measured(truth)
-    found = forecast(
-        Learned(LONG.stiffness),
-        segment,
-        torch.tensor([[1e-9]], dtype=torch.float64),
-        truth=truth,
-        fitted=0.25,
-    )
+    spread = torch.tensor([[1e-9]], dtype=torch.float64)
+    found = forecast(Learned(LONG.stiffness), segment, spread, truth=truth, fitted=0.25)
     assert found is not None
     assert int(first_part(segment, 0.25)[0].sum()) == 25
     assert found.parts is not None
