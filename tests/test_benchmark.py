@@ -75,7 +75,7 @@ def test_what_is_finished_is_kept_and_shown(tmp_path, capfd, caplog):
         finished(tmp_path, "spring", "hnn", draw, score)
     assert call("ahnn.benchmark", "spring", "draws=2", f"output={tmp_path}") == 0
     said = capfd.readouterr()
-    assert f"2 training runs in {tmp_path}, 2 finished" in caplog.text
+    assert f"2 training runs in {tmp_path}, 2 of them finished" in caplog.text
     assert "0.25 to 0.75" in said.out
     assert "published: theirs 0.5" in said.out
 

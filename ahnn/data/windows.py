@@ -108,7 +108,7 @@ def require_span(steps: int, longest: int) -> None:
     """Raise UserError for windows of no step, or longer than the longest segment of samples."""
     if longest < 1:
         expected = "at least two consecutive samples, to form windows"
-        message = f"data: expected {expected}; received no consecutive samples for windows of {steps} steps"
+        message = f"data: expected {expected}; received none"
         raise UserError(message)
     if not 1 <= steps <= longest:
         message = (

@@ -28,7 +28,7 @@ PUSH = Reading(1.0, controls=(1.0, 2.0))
             {},
             "expected values at the start, time 0; received none before a reading at time 1",
         ),
-        (PUSH, {}, r"controls: expected values .* before a reading at time 1\. Begin with a reading at time 0"),
+        (PUSH, {}, r"controls: expected values .* at time 1\. Begin with a reading at time 0"),
         (PUSH._replace(controls=(1.0,)), {}, r"controls: expected 2 finite numbers .*; received \(1.0,\)"),
         (PUSH._replace(controls=(1.0, math.nan)), {}, r"expected 2 finite numbers .*; received \(1.0, nan\)"),
         (PUSH._replace(controls=(1.0, 1e200)), {}, r"expected 2 finite numbers up to 1e\+150"),
