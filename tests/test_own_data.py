@@ -103,7 +103,7 @@ def test_wrong_standard_deviations_are_named_before_a_training_and_below_its_tab
     given = ["model=ahnn", "hamiltonian=mechanical", "recipe=measurements", f"data.noise={10 * SD}"]
     given += ["loss.stages=[[16, 1.0]]", "trainer.max_epochs=6", f"run={tmp_path / 'run'}"]
     assert call("ahnn.train", *SMALL, f"system.path={data}", *given) == 0
-    assert "noise of q1 0.0099 (standard deviations), unless" in (told := capfd.readouterr().err)
+    assert "noise of q 0.0099 m (standard deviations), unless" in (told := capfd.readouterr().err)
     assert "data.noise differs" in told
     (row,) = ahnn.load(tmp_path / "run").results.rows
     about, _, rest = row.note.partition(" times too large for q")
