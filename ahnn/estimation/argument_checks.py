@@ -6,6 +6,7 @@ Covariances are converted to factors, and numbers of any kind to float64 tensors
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -18,6 +19,9 @@ from ahnn.estimation.gate import Gate, thresholds
 from ahnn.estimation.state import FilterState, MemberState
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import Numbers, as_float64, described
+
+if TYPE_CHECKING:
+    from typing_extensions import TypeIs
 
 
 def check_belief(belief: Belief) -> None:
@@ -107,7 +111,11 @@ def checked_time(time: float, name: str) -> float:
 
 def checked_step(dt: Numbers) -> float:
     """Return the length of one step; raises the errors of `checked_steps`."""
-    return dt if isinstance(dt, float) and 0.0 < dt < math.inf else float(checked_steps(dt))
+    return dt if _is_step(dt) else float(checked_steps(dt))
+
+
+def _is_step(dt: Numbers) -> TypeIs[float]:
+    return isinstance(dt, float) and 0.0 < dt < math.inf
 
 
 def checked_steps(dt: Numbers, steps: int | None = None) -> Tensor:
@@ -116,7 +124,7 @@ def checked_steps(dt: Numbers, steps: int | None = None) -> Tensor:
     Raises:
         ValueError: wrong shape, or a length that is not finite or not positive.
     """
-    if isinstance(dt, float) and 0.0 < dt < math.inf:
+    if _is_step(dt):
         return torch.full((), dt, dtype=torch.float64)
     lengths = as_float64(dt, "dt")
     wrong = lengths[~((lengths > 0.0) & lengths.isfinite())]

@@ -57,7 +57,8 @@ class RunPlan(NamedTuple):
         missing = rows.isnan()
         present = ~missing
         if not bool(missing.any()):
-            return cls(rows, grid, models, present, *(2 * ([True] * rows.shape[1],)))
+            every = [True] * rows.shape[1]
+            return cls(rows, grid, models, present, every, every)
         each = present.transpose(0, 1).flatten(1)
         return cls(rows, grid, models, present, each.any(1).tolist(), each.all(1).tolist())
 

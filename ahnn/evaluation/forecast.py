@@ -20,7 +20,7 @@ from ahnn.measurements import Segment
 from ahnn.measurements.student_noise import normal_scores
 from ahnn.numbers import in_percent
 from ahnn.shooting.initial_states import FOLLOWING, LOST, SURE, linearised, refine
-from ahnn.shooting.path_sensitivities import path, steps_between
+from ahnn.shooting.path_sensitivities import Steps, path, steps_between
 from ahnn.shooting.quadrature import coarse
 from ahnn.shooting.robust import RobustName, informative, loss_of
 from ahnn.types import Trajectories
@@ -120,14 +120,7 @@ def forecast(
         return None
     starts, early, first, part = begun.starts[met], early[met], first.rows(met), segment.rows(met)
     freedom, told = part.instrument.freedom, informative(part.instrument.freedom)
-    steps = steps_between(part.times, part.instrument.longest)
-    states = path(dynamics.increment, starts, steps.lengths)
-    if coarse(cast(HasField, dynamics).field, states, steps.lengths):
-        steps = steps.quarters()
-        along = steps.first(first.times.shape[1] - 1)
-        again = trial_of(dynamics, loss_of("none", freedom))
-        starts = refine(again, starts, first, along, FOLLOWING, SURE).starts
-        states = path(dynamics.increment, starts, steps.lengths)
+    states, steps = resolved_path(dynamics, starts, first, part)
     here = linearised(trial_of(dynamics, told), states, part, steps)
     later = ~early.unsqueeze(-1)
     there = later.expand_as(states[:, steps.ends])
@@ -259,6 +252,25 @@ def part_fitted(dynamics: Dynamics, segment: Segment, early: Tensor, robust: Rob
     last = max(int(early.any(0).sum()) - 1, 1)
     part = segment._replace(values=segment.values.masked_fill(~early.unsqueeze(-1), torch.nan)).first(last)
     return without_outliers(dynamics, part, robust)
+
+
+def resolved_path(dynamics: Dynamics, starts: Tensor, first: Segment, part: Segment) -> tuple[Tensor, Steps]:
+    """Return the path over a segment and its steps; where these are coarse, quarters, from refitted starts.
+
+    Args:
+        dynamics: float64 dynamics with a field.
+        starts: (B, D) states that fit the first measurements.
+        first: the first measurements.
+        part: all measurements.
+    """
+    steps = steps_between(part.times, part.instrument.longest)
+    states = path(dynamics.increment, starts, steps.lengths)
+    if not coarse(cast(HasField, dynamics).field, states, steps.lengths):
+        return states, steps
+    steps = steps.quarters()
+    trial = trial_of(dynamics, loss_of("none", part.instrument.freedom))
+    starts = refine(trial, starts, first, steps.first(first.times.shape[1] - 1), FOLLOWING, SURE).starts
+    return path(dynamics.increment, starts, steps.lengths), steps
 
 
 def at(truth: Trajectories, rows: Tensor, times: Tensor) -> Tensor:

@@ -185,7 +185,7 @@ def regained(
     """Fit segments that fit much worse than the best one again from the starts (B, D), over slow spans."""
     if not len(start):
         return fitted
-    squares = fitted.sums / segment.measured
+    squares = fitted.sums / segment.measured.clamp(min=1)
     off = (squares > WORSE * squares.min().clamp(1.0, LOST)).nonzero().squeeze(1)
     if len(off):
         again = fit_starts(trial, start[off], segment.rows(off), steps.rows(off), hopeless, SLOW_GROWTH)

@@ -6,6 +6,16 @@ import sys
 from types import ModuleType
 
 import pytest
+from synthetic_runs import SPRING, run
+
+
+@pytest.fixture(scope="module")
+def springs(tmp_path_factory):
+    """Four runs of the spring, one model with two seeds."""
+    folder = tmp_path_factory.mktemp("springs")
+    for model, seed in (("MLP", 7), ("AHNN3", 7), ("AHNN5", 7), ("AHNN5", 201)):
+        run(folder, SPRING, model, seed)
+    return folder
 
 
 def draw(collection):

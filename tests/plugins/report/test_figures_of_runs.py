@@ -21,14 +21,6 @@ from ahnn_plugins.report.figures.models import slots
 
 
 @pytest.fixture(scope="module")
-def springs(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("springs")
-    for model, seed in (("MLP", 7), ("AHNN3", 7), ("AHNN5", 7), ("AHNN5", 201)):
-        run(folder, SPRING, model, seed)
-    return folder
-
-
-@pytest.fixture(scope="module")
 def orbits(tmp_path_factory):
     folder = tmp_path_factory.mktemp("orbits")
     run(folder, ORBITS, "HNN")

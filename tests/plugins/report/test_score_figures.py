@@ -13,14 +13,6 @@ from ahnn_plugins.report.figures import draw
 from ahnn_plugins.report.paper import printed_value
 
 
-@pytest.fixture(scope="module")
-def springs(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("springs")
-    for model, seed in (("MLP", 7), ("AHNN3", 7), ("AHNN5", 7), ("AHNN5", 201)):
-        run(folder, SPRING, model, seed)
-    return folder
-
-
 def drawn(*folders) -> dict[str, Drawing]:
     return {drawing.name: drawing for drawing in draw(collect(folders))}
 
