@@ -94,7 +94,7 @@ class Run:
     def trained(self) -> Dynamics:
         """The dynamics before the final step in function space, which parameters cannot express."""
         before = self.uncertainty and self.uncertainty.before
-        return before[0] if before else self.dynamics
+        return before or self.dynamics
 
     def flow(self, x: Numbers, dt: Numbers | None = None) -> Tensor:
         """Propagate states x, shape (..., 2n), over dt, by default one sampling interval.

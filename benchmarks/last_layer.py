@@ -62,8 +62,8 @@ def outputs_of(run: Run) -> Outputs:
         raise UserError(message)
     theta = parameters_to_vector(dynamics.parameters())
     places = torch.arange(len(theta))
-    if known.before is not None:
-        dynamics, known = known.before
+    if known.before is not None and known.tangent is not None:
+        dynamics, (_, known) = known.before, known.tangent
         assert known.step is not None
         found = linearised(dynamics, known.step)
         assert found is not None

@@ -46,11 +46,15 @@ def test_a_run_of_another_type_leaves_the_first_as_it_is(mechanical):
 def test_a_covariance_moves_with_its_run(mechanical):
     count = sum(p.numel() for p in mechanical.dynamics.parameters())
     known = Uncertainty(torch.eye(count).double(), torch.zeros(count).double(), 1.0, {})
-    run = replace(mechanical, uncertainty=replace(known, before=(mechanical.dynamics, known)))
+    run = replace(
+        mechanical,
+        uncertainty=replace(known, before=mechanical.dynamics, tangent=(mechanical.dynamics, known)),
+    )
     moved = run.to("meta").uncertainty
     assert {moved.factor.device.type, moved.offset.device.type} == {"meta"}
-    assert next(moved.before[0].parameters()).is_meta
-    assert moved.before[1].factor.is_meta
+    assert next(moved.before.parameters()).is_meta
+    assert next(moved.tangent[0].parameters()).is_meta
+    assert moved.tangent[1].factor.is_meta
     assert not run.uncertainty.factor.is_meta
 
 

@@ -7,11 +7,12 @@ nonlinear in theta can so still be taken in function space.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 import torch
 from torch import Tensor
-from torch.nn.utils import parameters_to_vector
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from ahnn.dynamics import Dynamics, make_dynamics
 from ahnn.dynamics.gaussian_process import Waves
@@ -50,6 +51,22 @@ def linearised(dynamics: Dynamics, step: Tensor) -> tuple[Dynamics, Tensor] | No
     numbered = _side_by_side(dynamics, (numbers, 0 * theta, 0 * theta), (1.0, 0.0, 0.0))
     flat = torch.cat([numbered[name].flatten() for name, _ in wide.named_parameters()])
     return wide, flat.argsort()[-len(theta) :]
+
+
+def tangent(dynamics: Dynamics, wide: Dynamics, places: Tensor) -> Dynamics:
+    """Return dynamics whose derivatives by their P parameters are those of `wide` at places, (P,).
+
+    Its networks are those of `dynamics`; parameters outside networks, such as the logarithm of mu, have the
+    values after the step. Only its parameter derivatives are meaningful, not its motion.
+
+    Args:
+        dynamics: argument of `linearised`.
+        wide: its result.
+        places: indices of the parameters in this result.
+    """
+    found = copy.deepcopy(dynamics)
+    vector_to_parameters(parameters_to_vector(wide.parameters()).detach()[places], found.parameters())
+    return found
 
 
 def _side_by_side(dynamics: Dynamics, copies: Sequence[Tensor], shares: Sequence[float]) -> dict[str, Tensor]:

@@ -37,12 +37,14 @@ class Taken(NamedTuple):
         dynamics: dynamics with the linearised functions.
         problem: their least-squares problem.
         weights: parameters of the dynamics at which the problem was evaluated.
+        own: indices of theta in these parameters.
         place: posterior point in the linear parameters theta.
     """
 
     dynamics: Dynamics
     problem: WideProblem
     weights: Tensor
+    own: Tensor
     place: PosteriorPoint
 
 
@@ -64,7 +66,7 @@ def whole_step(
         best, here = found, found.place
         if arrived(here):
             break
-        block = of_functions(best.problem, dynamics, begin.theta, best.weights)
+        block = of_functions(best.problem, dynamics, best.weights, best.own)
         block = block._replace(gradient=here.block.gradient)
         here = PosteriorPoint.of(here.theta, here.loss, here.degrees, block, here.prior)
         best = best._replace(place=here)
@@ -99,7 +101,7 @@ def lowest(problem: WideProblem, dynamics: Dynamics, origin: Tensor, here: Poste
         there = here.moved(theta, problem.cost, problem.reduced(problem.gradient(weights)[own]))
         places.append(there)
         if best is None or there.objective < best.place.objective:
-            best = Taken(wide, problem, weights, there)
+            best = Taken(wide, problem, weights, own, there)
         if arrived(there) or there.remaining > places[-2].remaining:
             break
         theta = mixed(places)

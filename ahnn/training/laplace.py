@@ -68,8 +68,9 @@ def conclude(
     found = _concluded(dynamics, train, held_out, steps, robust)
     if found is None:
         return None
-    learned, _ = found.taken(dynamics)  # this step may be needed to fit them
-    return replace(found, directions=least_told(dynamics, found.spread, train, robust, learned))
+    learned, known = found.taken(dynamics)  # this step may be needed to fit the measurements
+    uncertain, _ = known.tangent or (dynamics, known)
+    return replace(found, directions=least_told(uncertain, found.spread, train, robust, learned))
 
 
 def _concluded(

@@ -18,27 +18,27 @@ INTERVALS = 2000
 
 @torch.no_grad()
 def least_told(
-    dynamics: Dynamics, spread: Tensor, train: Segment, robust: RobustName, learned: Dynamics | None = None
+    dynamics: Dynamics, spread: Tensor, train: Segment, robust: RobustName, learned: Dynamics
 ) -> Tensor | None:
     """Return the parameter directions (P, K) least observable by a filter from such measurements.
 
     Simulates the filter on some training trajectories, with initial uncertainty as large as the states.
 
     Args:
-        dynamics: float64 dynamics with a field and these parameters.
+        dynamics: float64 dynamics with a field, whose parameters are uncertain.
         spread: L, shape (P, R); L L^T is the covariance of the parameters.
         train: all training measurements.
         robust: robust loss.
-        learned: the dynamics after a step in function space, which may fit better; None without such a step.
+        learned: dynamics of the paths, after the step in function space, if any.
 
     Returns:
         None if they fit none of these trajectories.
     """
     some = train.first(INTERVALS).rows(slice(None, None, max(1, len(train.times) // ARCS)))
     loss = loss_of(robust, train.instrument.freedom)
-    met = ShootingProblem(dynamics if learned is None else learned, some, loss, LOST)
+    met = ShootingProblem(learned, some, loss, LOST)
     if not len(met.starts):
         return None
     sizes = met.fitted.states[met.kept].unflatten(-1, (2, -1)).square().nanmean((0, 1, 3)).sqrt()
     watched = Watched(met.starts, sizes.repeat_interleave(train.instrument.dof), met.batch)
-    return filtered_directions(dynamics, spread, watched, MOST).directions
+    return filtered_directions(dynamics, spread, watched, MOST, learned=learned).directions

@@ -159,17 +159,17 @@ def after(problem: WideProblem, dynamics: Dynamics) -> WideProblem:
 
 
 @torch.no_grad()
-def of_functions(problem: WideProblem, dynamics: Dynamics, origin: Tensor, weights: Tensor) -> Block:
+def of_functions(problem: WideProblem, dynamics: Dynamics, weights: Tensor, places: Tensor) -> Block:
     """Return the normal equations in the P parameters in which the functions are linear.
 
     Args:
         problem: problem of the functions.
         dynamics: dynamics about which they are linearised.
-        origin: parameters of these dynamics, shape (P,).
         weights: parameters of the functions.
+        places: indices of the P parameters in these (`ahnn.dynamics.linearised`).
     """
     own, rows = problem.forcing, field_jacobian(cast(HasField, dynamics), problem.precision)
-    problem.forcing = lambda _, states: rows(origin, states)
+    problem.forcing = lambda _, states: rows(weights[places], states)
     _, _, (block,) = problem.equations(weights, [])
     problem.forcing = own
     return block

@@ -65,23 +65,30 @@ class Chosen(NamedTuple):
 
 @torch.no_grad()
 def filtered_directions(
-    dynamics: Dynamics, spread: Tensor, watched: Watched, most: int, enough: float = 0.0
+    dynamics: Dynamics,
+    spread: Tensor,
+    watched: Watched,
+    most: int,
+    enough: float = 0.0,
+    learned: Dynamics | None = None,
 ) -> Chosen:
     """Return the parameter directions least observable by a filter from its measurements.
 
     Args:
-        dynamics: float64 dynamics with a field.
+        dynamics: float64 dynamics with a field, whose parameters are uncertain.
         spread: L, shape (P, R); L L^T is the covariance of the parameters.
         watched: paths of the filter; diverging paths are omitted.
         most: maximum number of directions.
         enough: tolerated NEES contribution of the omitted directions per state component; the fewest
             sufficient directions are returned.
+        learned: dynamics of the paths; None: `dynamics`.
 
     Raises:
         UserError: all paths of the filter diverge.
     """
     steps = steps_between(watched.segment.times, watched.segment.instrument.longest)
-    states = path(dynamics.increment, watched.start, steps.lengths)
+    learned = learned or dynamics
+    states = path(learned.increment, watched.start, steps.lengths)
     sound = states.isfinite().flatten(1).all(1)
     if not bool(sound.any()):
         message = (
@@ -94,7 +101,7 @@ def filtered_directions(
     forcing = field_jacobian(cast(HasField, dynamics))
     arc = _Arc(
         states,
-        own_jacobians(dynamics)(states[:, :-1], steps.lengths),
+        own_jacobians(learned)(states[:, :-1], steps.lengths),
         steps,
         lambda part: forcing(theta, states[:, part]) @ spread.float(),
     )

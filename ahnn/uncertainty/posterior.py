@@ -12,7 +12,7 @@ from torch import Tensor
 
 from ahnn.checkpoints import FORMAT, Weights, checksum, read_weights, write_weights
 from ahnn.dynamics import Dynamics
-from ahnn.dynamics.linearised import linearised
+from ahnn.dynamics.linearised import linearised, tangent
 from ahnn.errors import UserError
 from ahnn.stored import Spread, read
 
@@ -34,8 +34,9 @@ class Uncertainty:
         directions: (P, K) parameter directions least observable by a filter from similar measurements, in
             order of importance; None if not computed.
         step: (P,) step in function space (`ahnn.dynamics.linearised`), if any.
-        before: dynamics and distribution of their parameters before that step, if it was taken. They describe
-            the same uncertainty of functions with a third of the network.
+        before: dynamics before that step, if it was taken.
+        tangent: dynamics with a third of the network and the distribution of their parameters, which describe
+            the same uncertainty of the force (`ahnn.dynamics.linearised.tangent`), if the step was taken.
     """
 
     factor: Tensor
@@ -44,7 +45,8 @@ class Uncertainty:
     about: dict[str, Any]
     directions: Tensor | None = None
     step: Tensor | None = None
-    before: tuple[Dynamics, Uncertainty] | None = None
+    before: Dynamics | None = None
+    tangent: tuple[Dynamics, Uncertainty] | None = None
 
     @property
     def spread(self) -> Tensor:
@@ -59,13 +61,14 @@ class Uncertainty:
     def to(self, device: torch.device | str | None) -> Uncertainty:
         """Return a copy on a device, in float64."""
         moved = {name: part.to(device) for name in PARTS if (part := getattr(self, name)) is not None}
-        before = self.before and (copy.deepcopy(self.before[0]).to(device), self.before[1].to(device))
-        return replace(self, **moved, before=before)
+        before = self.before and copy.deepcopy(self.before).to(device)
+        narrow = self.tangent and (copy.deepcopy(self.tangent[0]).to(device), self.tangent[1].to(device))
+        return replace(self, **moved, before=before, tangent=narrow)
 
     @property
     def least_observable(self) -> Tensor | None:
         """Saved least observable directions, for parameters before the function-space step."""
-        return (self if self.before is None else self.before[1]).directions
+        return (self if self.tangent is None else self.tangent[1]).directions
 
     def taken(self, dynamics: Dynamics) -> tuple[Dynamics, Uncertainty]:
         """Return dynamics after the function-space step, and the distribution of their parameters."""
@@ -77,7 +80,7 @@ class Uncertainty:
         factor = self.factor.new_zeros(size, self.factor.shape[1]).index_copy(0, places, self.factor)
         offset = self.offset.new_zeros(size).index_copy(0, places, self.offset)
         here = {"factor": factor, "offset": offset, "directions": None, "step": None}
-        return wide, replace(self, **here, before=(dynamics, self))
+        return wide, replace(self, **here, before=dynamics, tangent=(tangent(dynamics, wide, places), self))
 
 
 def save_uncertainty(folder: Path, uncertainty: Uncertainty, state: dict[str, Tensor]) -> None:

@@ -12,7 +12,7 @@ from torch.nn.utils import parameters_to_vector
 from ahnn.dynamics import linearised as module
 from ahnn.dynamics import make_dynamics
 from ahnn.dynamics.derivatives import parametrised
-from ahnn.dynamics.linearised import linearised
+from ahnn.dynamics.linearised import linearised, tangent
 
 DOUBLE = {"dtype": torch.float64}
 COMMON = {"scaling": "block", "integrator": {"name": "rk4"}}
@@ -46,6 +46,19 @@ def states(dynamics):
 
 def slopes(dynamics, theta, x):
     return jacobian(lambda t: parametrised(dynamics, dynamics.field, t.dtype)(t, x), theta)
+
+
+def test_derivatives_after_a_long_step_are_those_of_the_tangent(dynamics):
+    """Also by mu, of no network, whose derivative changes by the factor of the step."""
+    _, step = drawn(dynamics, 0.3)
+    wide, places = linearised(dynamics, step)
+    narrow, x = tangent(dynamics, wide, places), states(dynamics)
+    found, expected = (
+        slopes(one, parameters_to_vector(one.parameters()).detach(), x) for one in (narrow, wide)
+    )
+    close(found, expected[..., places], 1e-10)
+    for name, parameter in dynamics.named_parameters():
+        assert ("log_mu" not in name) or not torch.equal(parameter, narrow.get_parameter(name))
 
 
 def test_the_field_moves_by_its_derivative_along_the_step(dynamics):

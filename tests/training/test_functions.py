@@ -96,7 +96,7 @@ def test_equations_of_functions_are_in_the_step_that_they_are_linear_in(started)
     model, problem, here = started
     wide, own = linearised(model, 0.5 * here.offset)
     there, weights = after(problem, wide), flat(wide)
-    block = of_functions(there, model, here.theta, weights)
+    block = of_functions(there, model, weights, own)
     assert block.matrix.shape == (len(own), len(own))
     exact = there.gradient(weights)[own]
     close(block.gradient, exact, 1e-4)

@@ -11,11 +11,12 @@ from torch.nn.utils import parameters_to_vector
 
 from ahnn.dynamics import make_dynamics
 from ahnn.dynamics.derivatives import field_jacobian
+from ahnn.dynamics.linearised import linearised
 from ahnn.jacobians import step_jacobians
 from ahnn.measurements import Instrument, Position, Segment
 from ahnn.shooting.path_sensitivities import path, sensitivities, steps_between, transitions
 from ahnn.shooting.robust import ROBUST
-from ahnn.training.maximum_posterior import WideProblem
+from ahnn.training.maximum_posterior import WideProblem, of_functions
 
 NETWORK = {"width": 6, "depth": 2, "activation": "tanh"}
 SD = 0.1  # km
@@ -79,3 +80,20 @@ def test_a_step_of_dopri8_between_measurements_five_minutes_apart_is_short_enoug
         torch.linalg.solve(seen.T @ short.matrix @ seen, seen.T @ long.matrix @ seen)
     )
     assert float((ratios.real - 1).abs().max()) < 1e-2  # twice what the trapezoids are off by in a day
+
+
+@torch.no_grad()
+def test_equations_of_functions_follow_mu_which_is_outside_networks():
+    """A potential that does not decay can absorb mu: its derivative must be right to many digits."""
+    dynamics, batch = satellite(rows=61)
+    step = torch.zeros(sum(p.numel() for p in dynamics.parameters()), dtype=torch.float64)
+    step[0] = 1e-2
+    wide, own = linearised(dynamics, step)
+    problem, weights = WideProblem(wide, batch, ROBUST["none"]), parameters_to_vector(wide.parameters())
+    found, exact = (
+        of_functions(problem, dynamics, weights, own).gradient[0],
+        problem.gradient(weights)[own][0],
+    )
+    assert float(found / exact - 1) == pytest.approx(
+        0, abs=1e-3
+    )  # before the step the derivative is 1 % less

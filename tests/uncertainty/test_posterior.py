@@ -72,7 +72,8 @@ def test_a_band_after_the_step_is_that_of_the_parameters_before_it():
     assert after.inflation == 2.0
     band = rollout_covariances(dynamics, start, lengths, after.spread)
     close(band, rollout_covariances(own, start, lengths, known.spread), 1e-3)
-    assert after.before == (own, known)
+    assert after.before is own
+    assert after.tangent[1] is known
     x = torch.rand(6, 2, dtype=torch.float64)
     close(field_columns(dynamics, after.spread)(x), field_columns(own, known.spread)(x), 1e-3)
     same, unchanged = replace(known, step=None).taken(own)

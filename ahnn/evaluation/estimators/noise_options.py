@@ -120,7 +120,7 @@ def online_parameters(
     flow: Flow | None, uncertainty: Uncertainty, growth: Callable[[Tensor], Tensor] | None
 ) -> ParameterError:
     """Build learned parameters as states, in the directions saved by the training; raises UserError."""
-    dynamics, known = uncertainty.before or (cast(Dynamics, flow), uncertainty)
+    dynamics, known = uncertainty.tangent or (cast(Dynamics, flow), uncertainty)
     if known.directions is None:
         message = (
             "process_noise: expected a run that stored its least observable parameters; received one trained "
@@ -170,8 +170,9 @@ def with_process_noise(
         option = ForceOptions()
     if isinstance(option, ParameterOptions):
         assert case.uncertainty is not None
-        dynamics, known = case.uncertainty.before or (cast(Dynamics, case.flow), case.uncertainty)
-        chosen = filtered_directions(dynamics, known.spread, simulated_filter(case, setting), MOST, ENOUGH)
+        learned, watched = cast(Dynamics, case.flow), simulated_filter(case, setting)
+        dynamics, known = case.uncertainty.tangent or (learned, case.uncertainty)
+        chosen = filtered_directions(dynamics, known.spread, watched, MOST, ENOUGH, learned)
         error = parameters_as_states(dynamics, chosen, grown(case.novelty, rate))
         about = {"from": "parameter_error", "directions": error.added, "left_out": error.left_out}
         about["novelty"] = rate
