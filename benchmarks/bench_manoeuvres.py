@@ -90,7 +90,8 @@ def main(seeds: int = 5) -> None:
         states = truth(seed)
         for name, chosen in FILTERS.items():
             found[name].append(figures(*chosen, states, seed))
-    heads = ["filter", *(f"{kind} {phase}" for kind in ("error [km]", "manoeuvre probability") for phase in PHASES)]
+    kinds = ("error [km]", "manoeuvre probability")
+    heads = ["filter", *(f"{kind} {phase}" for kind in kinds for phase in PHASES)]
     rows = [[name, *(shown([*v]) for v in zip(*found[name], strict=True))] for name in found]
     print(markdown([*heads, "log-likelihood"], rows))
 
