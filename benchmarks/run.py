@@ -70,7 +70,7 @@ PyTorch programs use the default optimiser.""",
     ),
     "rollouts": Section(
         "Rollouts",
-        """The network and the integrator are those of the training steps; all states are stored, as in
+        """The network and the integrator are the same as in the training steps; all states are stored, as in
 `run.rollout`. JAX jits the full rollout; diffrax takes constant steps with the classical
 Runge-Kutta tableau.""",
         lambda repeats: table([*works.rollouts(repeats)], "1,440 steps [ms]"),
@@ -137,7 +137,7 @@ time.""",
     ),
     "startup": Section(
         "Start-up",
-        """Each process ends after the first optimiser step, with trajectories and compiled parts cached.
+        """The training run ends after its first optimiser step, with trajectories and compiled parts cached.
 The other programs take one AdamW step on random numbers, without configuration or data.""",
         bench_startup.startup,
         5,
