@@ -38,7 +38,7 @@ MODES = InteractingModels(UnscentedKalmanFilter(), (MotionMode(), MotionMode(add
 FILTERS: dict[str, tuple[Estimator[Any], tuple[float, ...]]] = {
     "ukf, quiet": (UnscentedKalmanFilter(), QUIET),
     "ukf, thrust noise": (UnscentedKalmanFilter(), NOISY),
-    "imm of both": (MODES, QUIET),
+    "imm, both modes": (MODES, QUIET),
 }
 
 
