@@ -90,9 +90,10 @@ at a time. The floor is the time of the compiled flow on all sigma points, calle
     ),
     "generation": Section(
         "Generation",
-        """The task is to integrate 2,500 Molniya orbits about an oblate planet over one day, with one state per
-minute. heyoka uses vectorised Taylor series; its time excludes compilation. DOP853 integrates only
-five orbits, and its time is scaled up. Position errors are relative to heyoka at a tolerance of 1e-18.""",
+        """The task is to integrate 2,500 Molniya orbits about an oblate planet over one day, with one state
+per minute. heyoka uses vectorised Taylor series; its time excludes compilation. DOP853 integrates
+only five orbits, and its time is scaled up. Position errors are relative to heyoka at a tolerance
+of 1e-18.""",
         bench_generation.generation,
         5,
         bench_generation.NEEDS,
