@@ -37,8 +37,8 @@ SYSTEM = Molniya(name="low", dt=DT, steps=STEPS, altitude=(900.0, 1100.0), eccen
 MODES = InteractingModels(UnscentedKalmanFilter(), (MotionMode(), MotionMode(added=ADDED)), (7200.0, 600.0))
 FILTERS: dict[str, tuple[Estimator[Any], tuple[float, ...]]] = {
     "ukf, quiet": (UnscentedKalmanFilter(), QUIET),
-    "ukf, noise of a thrust": (UnscentedKalmanFilter(), NOISY),
-    "imm of both": (MODES, QUIET),
+    "ukf, thrust noise": (UnscentedKalmanFilter(), NOISY),
+    "imm, both modes": (MODES, QUIET),
 }
 
 
@@ -90,7 +90,8 @@ def main(seeds: int = 5) -> None:
         states = truth(seed)
         for name, chosen in FILTERS.items():
             found[name].append(figures(*chosen, states, seed))
-    heads = ["filter", *(f"{kind} {phase}" for kind in ("error [km]", "manoeuvre") for phase in PHASES)]
+    kinds = ("error [km]", "manoeuvre probability")
+    heads = ["filter", *(f"{kind} {phase}" for kind in kinds for phase in PHASES)]
     rows = [[name, *(shown([*v]) for v in zip(*found[name], strict=True))] for name in found]
     print(markdown([*heads, "log-likelihood"], rows))
 

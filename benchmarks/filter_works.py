@@ -102,7 +102,8 @@ def filters(repeats: int) -> Iterator[Row]:
                 counts[peer] = members * steps
         if has(NEEDS["filterpy"]):
             works["filterpy"], counts["filterpy"] = filterpy_filter(start, rows), steps
-        row = in_turn(f"{members:,} members", works, repeats, flow_alone(compiled, start, steps))
+        name = f"{members:,} member{'s' * (members > 1)}"
+        row = in_turn(name, works, repeats, flow_alone(compiled, start, steps))
         times = {who: [t / counts[who] for t in found] for who, found in row.times.items()}
         yield Row(row.name, times, row.floor and [t / (members * steps) for t in row.floor])
 

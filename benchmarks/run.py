@@ -32,9 +32,9 @@ STEPS, WINDOWS = 150, 51200
 """Steps of a fit through Lightning, and windows of an epoch."""
 OPENING = """# Benchmarks
 
-`make bench` compares ahnn with other programs on identical work, in turn, on one thread, and writes this
-page. `python benchmarks/run.py --only filter,rollouts --repeats 3` repeats some sections. Times are medians
-of CPU time unless stated; ratios are medians over the repeats, below 1 where ahnn is faster.
+`make bench` runs ahnn and other programs in turn, on identical work and one thread, and writes this page.
+`python benchmarks/run.py --only filter,rollouts --repeats 3` repeats only these sections. Times are median
+CPU times unless stated otherwise; ratios are medians over the repeats and are below 1 where ahnn is faster.
 
 ![Time of ahnn divided by the time of each other program](benchmarks.png)
 """
@@ -54,9 +54,9 @@ SECTIONS = {
     "training": Section(
         "Training steps",
         """A step computes the Huber loss of recursive predictions over a window and its gradient, and
-applies AdamW to a generic Hamiltonian network of three degrees of freedom with RK4, in
-float32, without Lightning. The floor is the time of the network's multiply-adds as matrix
-products in PyTorch.
+applies AdamW to a generic Hamiltonian network with three degrees of freedom, integrated by
+RK4, in float32 and without Lightning. The floor is the time that PyTorch takes for the
+network's multiply-adds as matrix products.
 
 - **autograd.grad**: plain PyTorch, with the field as `autograd.grad` of the energy.
 - **torchdiffeq**: the same field through `odeint(method="rk4")`, the 3/8 rule.
@@ -70,7 +70,7 @@ PyTorch programs use the default optimiser.""",
     ),
     "rollouts": Section(
         "Rollouts",
-        """The network and the integrator are those of the training steps; all states are stored, as in
+        """The network and the integrator are the same as in the training steps; all states are stored, as in
 `run.rollout`. JAX jits the full rollout; diffrax takes constant steps with the classical
 Runge-Kutta tableau.""",
         lambda repeats: table([*works.rollouts(repeats)], "1,440 steps [ms]"),
@@ -80,28 +80,29 @@ Runge-Kutta tableau.""",
     "filter": Section(
         "The filter",
         """Each filter follows two-body motion with J2 and receives a position after every step, in float64.
-`ahnn` uses the compiled flow of `system=molniya`, of order eight with 17 stages. The other
-columns take one Runge-Kutta step: `torch` is the filter of ahnn with a flow in PyTorch, and
+`ahnn` uses the compiled flow of `system=molniya`, which has order eight and 17 stages. The other
+columns take one Runge-Kutta step: `torch` is the ahnn filter with a flow in PyTorch, and
 `compiled` adds `torch.compile`; dynamax and cuthbert are jitted; filterpy filters one trajectory
-at a time. The floor is the compiled flow on all sigma points, called from Python.""",
+at a time. The floor is the time of the compiled flow on all sigma points, called from Python.""",
         lambda repeats: filter_works.table([*filter_works.filters(repeats)]),
         7,
         filter_works.NEEDS,
     ),
     "generation": Section(
         "Generation",
-        """The task is one day of 2,500 Molniya orbits about an oblate planet, with one state per minute.
-heyoka integrates vectorised Taylor series, without compilation time; DOP853 integrates five
-orbits, and its time is scaled up. Position errors are relative to heyoka at tolerance 1e-18.""",
+        """The task is to integrate 2,500 Molniya orbits about an oblate planet over one day, with one state
+per minute. heyoka uses vectorised Taylor series; its time excludes compilation. DOP853 integrates
+only five orbits, and its time is scaled up. Position errors are relative to heyoka at a tolerance
+of 1e-18.""",
         bench_generation.generation,
         5,
         bench_generation.NEEDS,
     ),
     "second_order": Section(
         "Levenberg-Marquardt",
-        """The table gives times of one step in float64. The floor is the time of its matrix products;
-optimistix takes a jitted step with as many residuals of the same network. Times on two cores are
-wall-clock times and need an idle machine.""",
+        """The table gives the time of one step in float64. The floor is the time of its matrix products;
+optimistix takes a jitted step with the same network and number of residuals. Times on two cores
+are wall-clock times and need an idle machine.""",
         bench_second_order.steps,
         3,
         bench_second_order.NEEDS,
@@ -110,7 +111,7 @@ wall-clock times and need an idle machine.""",
         "Through Lightning",
         f"""Each fit takes {STEPS} steps with the default callbacks and TensorBoard, three layers of 128
 units and batches of 256. `barebones` is Lightning's trainer without callbacks, a logger or checkpoints. The
-bare loop uses the batches and the optimiser of ahnn; plain AdamW uses PyTorch defaults.""",
+bare loop uses ahnn's batches and optimiser; plain AdamW uses the PyTorch defaults.""",
         lambda repeats: table([*bench_training_step.measured(STEPS, repeats)], "one step [ms]"),
         3,
         {},
@@ -129,15 +130,15 @@ its defaults.""",
         "Time to a given accuracy",
         f"""The table gives the time until rollouts of 25 validation trajectories reach the accuracy of AHNN5
 in the paper, for the default recipe and for a plain training loop (one-step loss, AdamW with
-batch size 256 from a per-sample DataLoader, autograd), which is stopped at {CAP:g} times the time of
-ahnn.""",
+batch size 256 from a per-sample DataLoader, autograd), which is stopped after {CAP:g} times ahnn's
+time.""",
         lambda _: bench_time_to_accuracy.race(CAP),
         1,
         {},
     ),
     "startup": Section(
         "Start-up",
-        """Each process ends after the first optimiser step, with trajectories and compiled parts cached.
+        """The training run ends after its first optimiser step, with trajectories and compiled parts cached.
 The other programs take one AdamW step on random numbers, without configuration or data.""",
         bench_startup.startup,
         5,

@@ -24,7 +24,7 @@ def table(name: str, task: FieldTask, scores: Scores) -> str:
         scores: `score` and `seconds` of each draw, and `floor` or other scores if available.
     """
     floors = sorted({one["floor"] for found in scores.values() for one in found if "floor" in one})
-    known = ", ".join(f"{key} {value:.2g}" for key, value in task.published.items()) or "figures only"
+    known = ", ".join(f"{key} {value:.2g}" for key, value in task.published.items()) or "plots only"
     if task.floor is not None:
         known += f"; floor {task.floor:.2g}"
     elif floors:

@@ -49,7 +49,7 @@ class FieldTask(NamedTuple):
         source: paper or repository that defines it, with licence.
         quantity: description of the score.
         differs: differences from the published setting.
-        published: published scores by name; empty if the paper has figures only.
+        published: published scores by name; empty if the paper gives its results only as plots.
         models: overrides of `ahnn.fit` by row name.
         draw: k -> the k-th draw of data and starts.
         floor: published floor, or score of the true form with free constants; None if draws have their own

@@ -118,7 +118,7 @@ def test_a_table_compares_with_floors_of_the_draws_where_nothing_was_published()
     floors = {1.0: 0.04, 3.0: 0.02, 2.0: 0.08}
     found = [{"score": s, "seconds": 2.0, "floor": f, "mean": 7.0} for s, f in floors.items()]
     text = comparison.table("one_orbit", task, {"network": found, "gaussian_process": found[:2]})
-    assert "published: figures only; floor 0.04 (0.02 to 0.08)" in text
+    assert "published: plots only; floor 0.04 (0.02 to 0.08)" in text
     rows = [line.split() for line in text.splitlines()]
     assert ["network", "2", "1", "to", "3", "3", "2", "50"] in rows
     assert ["-", "mean", "7", "7", "to", "7"] in rows

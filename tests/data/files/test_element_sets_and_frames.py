@@ -178,7 +178,7 @@ def test_what_is_left_out_costs_what_the_document_says():
     for words, (ut1, x, y) in {
         "UT1 - UTC of 0.1 s": (0.1, 0.0, 0.0),
         "UT1 - UTC of 0.9 s, the maximum": (0.9, 0.0, 0.0),
-        "polar motion of 0.3 and 0.5 seconds of arc": (0.0, 0.3, 0.5),
+        "polar motion of 0.3 and 0.5 arcseconds": (0.0, 0.3, 0.5),
     }.items():
         other = erfa.c2t06a(2460370.5, 0.3, 2460370.5, 0.3 + ut1 / 86400, x * arcsec, y * arcsec)
         largest = np.linalg.norm(other - exact, ord=2)  # over all directions
