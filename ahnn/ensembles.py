@@ -6,6 +6,7 @@ ensemble.rollout(start, steps=400), ensemble.band(start, steps=400)
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,8 +25,12 @@ from ahnn.runs import Run
 from ahnn.types import Space, TimeStep
 from ahnn.uncertainty import mixture_moments
 
+FAILED = 2.0
+"""Multiple of the smallest chi-square of the members above which a member counts as failed."""
 STATES = 1000
 """Number of training states at which the process noise is averaged."""
+
+log = logging.getLogger("ahnn")
 
 
 def require_same_states(runs: Sequence[Run]) -> None:
@@ -36,6 +41,13 @@ def require_same_states(runs: Sequence[Run]) -> None:
             expected = "runs with the same state components and units"
             message = f"run: expected {expected}; received {first} and {space}"
             raise UserError(message)
+
+
+def failed_members(runs: Sequence[Run]) -> list[Run]:
+    """Return the members whose chi-square, where it is known, exceeds the smallest `FAILED` times."""
+    found = [(run, float(run.uncertainty.about["chi_square"])) for run in runs if run.uncertainty is not None]
+    least = min((one for _, one in found), default=0.0)
+    return [run for run, one in found if one > FAILED * least]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -166,7 +178,7 @@ class Ensemble:
 
 @checked
 def load_ensemble(run: str | Path | list[str], ckpt: str = "best") -> Ensemble:
-    """Load the members of an ensemble.
+    """Load the members of an ensemble, with a warning that names members whose training failed.
 
     Args:
         run: folder of a training with `members` or `seeds`, or several run folders.
@@ -179,4 +191,12 @@ def load_ensemble(run: str | Path | list[str], ckpt: str = "best") -> Ensemble:
     if not folders:
         message = f"run: expected a folder of a training with members= or seeds=; received {str(run)!r}"
         raise UserError(message)
-    return Ensemble(tuple(load(folder, ckpt) for folder in folders))
+    found = Ensemble(tuple(load(folder, ckpt) for folder in folders))
+    if failed := failed_members(found.runs):
+        names = ", ".join(str(one.folder) for one in failed)
+        log.warning(
+            "ensemble: the chi-square of %s is more than twice the smallest, which widens the bands; to leave "
+            "such members out, pass a list of the other run folders",
+            names,
+        )
+    return found

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -9,6 +11,7 @@ from entry import SMALL, Interrupted, call, untouched
 from helpers import SPRING, close, data_module, ready_model
 
 import ahnn
+from ahnn import ensembles
 from ahnn.checkpoints import read_weights
 from ahnn.cli.compose import compose_job
 from ahnn.cli.prepare import prepare
@@ -19,6 +22,7 @@ from ahnn.measurements import Position
 from ahnn.models import EnsembleModel, Optimisation
 from ahnn.prediction import together
 from ahnn.rollouts import rollout
+from ahnn.uncertainty import Uncertainty
 from ahnn_plugins.ukf import unscented_filter
 
 SECOND = ["optimizer=levenberg_marquardt", "data.precision=64"]
@@ -129,6 +133,24 @@ def test_one_run_is_not_an_ensemble_and_an_ensemble_not_one_run(evaluated):
         ahnn.load(evaluated)
     with pytest.raises(ahnn.UserError, match="expected a folder of a training with members"):
         ahnn.load_ensemble(evaluated / "seed_7")
+
+
+def test_a_member_whose_training_failed_is_named(evaluated, monkeypatch, caplog):
+    """More than twice the smallest chi-square; members without a covariance are not judged."""
+    ahnn.load_ensemble(evaluated)
+    assert not caplog.messages
+    chi_squares = {"seed_7": 1.1, "seed_8": 0.9, "seed_9": 1.9}
+
+    def known(folder, ckpt):
+        run, one = ahnn.load(folder, ckpt), torch.eye(2, dtype=torch.float64)
+        about = {"chi_square": chi_squares[folder.name]}
+        return replace(run, uncertainty=Uncertainty(one, one[0], 1.0, about))
+
+    monkeypatch.setattr(ensembles, "load", known)
+    ahnn.load_ensemble(evaluated)
+    (message,) = caplog.messages
+    assert "seed_9 is more than twice" in message
+    assert "seed_7" not in message
 
 
 REFUSED = {
