@@ -195,8 +195,8 @@ def load_ensemble(run: str | Path | list[str], ckpt: str = "best") -> Ensemble:
     if failed := failed_members(found.runs):
         names = ", ".join(str(one.folder) for one in failed)
         log.warning(
-            "ensemble: the chi-square of %s is more than twice the smallest, which widens the bands; to leave "
-            "such members out, pass a list of the other run folders",
+            "ensemble: the chi-square of %s is more than twice the smallest, which widens the bands; to "
+            "leave such members out, pass a list of the other run folders",
             names,
         )
     return found
