@@ -12,6 +12,7 @@ from ahnn.memory import require_memory
 from ahnn.progress import progress_bar
 from ahnn.rollouts import stepped
 from ahnn.systems import System
+from ahnn.systems.hamilton_check import require_hamilton
 from ahnn.systems.truth import exact_flow
 from ahnn.types import Trajectories, rows_of_part
 
@@ -34,7 +35,7 @@ def generated(system: System, count: int, seed: int) -> Iterator[Trajectories]:
 
     Raises:
         UserError: the trajectories are too long to be stored, become non-finite, or cannot be computed
-            accurately.
+            accurately, or the energy of the system does not belong to its force.
     """
     generator = torch.Generator().manual_seed(seed)
     x = system.initial_states(count, generator)
@@ -59,6 +60,8 @@ def generated(system: System, count: int, seed: int) -> Iterator[Trajectories]:
                 states[:, k] = now
                 bar.advance(task)
             require_finite(system, states, ends, begin)
+            if begin == 0:
+                require_hamilton(system, states[states.isfinite().all(-1)])
             if int(ends.min()) < longest:
                 states[torch.arange(longest + 1) > ends.unsqueeze(-1)] = torch.nan
             yield part._replace(states=states)
