@@ -82,9 +82,9 @@ def _keys(path: Path, expected: str, parse: Any, most: int) -> dict[str, Any]:
         message = f"{path}: expected {expected}; received a damaged file: {' '.join(str(error).split())}"
         raise UserError(message) from error
     if not isinstance(content, dict) or not _is_plain(content):
-        what = repr(content)[:40] if not isinstance(content, dict) else "keys that are not strings, or "
-        "nested too deeply"
-        message = f"{path}: expected {expected}, keys with plain values; received {what}"
+        kind = "keys that are not strings, or values nested too deeply"
+        what = kind if isinstance(content, dict) else repr(content)[:40]
+        message = f"{path}: expected {expected}, with plain values for each key; received {what}"
         raise UserError(message)
     return content
 

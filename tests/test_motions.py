@@ -211,7 +211,7 @@ def test_known_controls_are_held_or_interpolated_between_samples():
     close(at(ramp, 0.05)(x, 0.05), reduced(flow(extended(x, clock), 0.05), 2), 1e-14)
     with pytest.raises(UserError, match="expected the time at which a step begins"):
         held(x, 0.05)
-    expected = r"steered: expected finite times \(T,\) that increase and controls \(T, 1\)"
+    expected = r"steered: expected finite, increasing times \(T,\) and controls \(T, 1\)"
     for given in ([[1.0], [3.0]], [[1.0], [float("nan")], [5.0]]):
         with pytest.raises(UserError, match=expected):
             steered(flow, times, given)

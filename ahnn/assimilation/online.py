@@ -292,5 +292,6 @@ def lost_filter(status: int, time: float, sensor: str) -> str:
     """Return the message for a diverged filter, with time and, if relevant, sensor."""
     by = f", by sensor {sensor}" if sensor else ""
     return (
-        f"expected a filter that follows its measurements; it is {Status(status).name} at time {time:g}{by}"
+        f"expected a filter that follows its measurements; received {Status(status).name} at time "
+        f"{time:g}{by}"
     )

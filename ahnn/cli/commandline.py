@@ -251,7 +251,7 @@ def check_recipe(cfg: DictConfig, overrides: Iterable[str]) -> None:
     elif noise is not None and not any(text.startswith(NAMES_A_RECIPE) for text in overrides):
         message = (
             "data.noise: expected a recipe for noisy measurements; received noise with a recipe for exact "
-            "samples. Use recipe=measurements, recipe=noisy_states for dense samples of states, "
+            "samples. Use recipe=measurements, recipe=noisy_states for densely sampled states, "
             "recipe=dense_states for dense samples of orbits, or an option of sensor (sensor=recorded "
             "for files), which selects a recipe"
         )

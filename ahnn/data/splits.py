@@ -70,8 +70,8 @@ class SplitData:
         if known["recipe"] != recipe:
             if "files" in recipe and recipe["files"] == known["recipe"].get("files"):
                 message = (
-                    f"system: expected the files of the training and their settings, {known['recipe']}; "
-                    f"received {recipe}, whose test trajectories may be part of the training"
+                    f"system: expected the training files with their settings, {known['recipe']}; "
+                    f"received {recipe}, whose test trajectories may be part of the training data"
                 )
                 raise UserError(message)
             return self._others("files" in recipe and "files" in known["recipe"], seen)
@@ -82,7 +82,7 @@ class SplitData:
         if (part := then[0] + then[1] - now[0] - now[1]) > 0:
             message = (
                 "split: expected test trajectories not used in training; received "
-                f"{self.fractions}: {part} of {now[2]} were used. Keep the split of the run, "
+                f"{self.fractions}, and {part} of {now[2]} were used. Keep the split of the run, "
                 f"{known['split']}, or use another seed"
             )
             raise UserError(message)

@@ -25,10 +25,10 @@ def fit(prepared: Prepared) -> float:
     trainer = prepared.trainer
     calibrate(prepared)
     if prepared.model.dynamics.begins_known and prepared.checkpoint is None:
-        trainer.num_sanity_val_steps = math.inf  # the initial known physics may remain the best
+        trainer.num_sanity_val_steps = math.inf  # the known physics alone may remain the best model
     if trainer.is_global_zero:
         announce(prepared)
-        # Keys without any effect have been rejected before.
+        # Keys without any effect have already been rejected.
         write_atomically(prepared.folder / "config.yaml", prepared.config)
     return timed_fit(trainer, prepared.model, prepared.data, ckpt_path=prepared.checkpoint)
 

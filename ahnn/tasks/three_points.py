@@ -93,7 +93,7 @@ def task(title: str, form: Callable[[list[float]], System], constants: list[floa
         "hakonnoren/learning_hamiltonian_noise, MIT; Celledoni, Eidnes & Myhr 2025, Physica D 472, 134471",
         f"norm of the mean error over {STEPS * STEP:g} units of time from {TESTED} exact starts; the noise "
         f"is {NOISE:g} per component, and the floor has {len(constants)} free constants in the true form",
-        "270 training trajectories instead of 285; the size of the noise is known",
+        "270 training trajectories instead of 285; the noise level is known",
         {},
         learned,
         partial(draw, form=form, constants=constants),

@@ -108,7 +108,7 @@ def test_w3b_is_fitted_as_well_as_by_orekit_and_its_future_is_known_to_within_wh
     assert sds["range"] <= 4.37
     assert sds["azimuth"] <= 0.0101
     assert sds["elevation"] <= 0.0116
-    leak, sd = map(float, re.search(r"at its start, .*?: (\S+) ± (\S+),", said).groups())
+    leak, sd = map(float, re.search(r"at the start, .*?: (\S+) ± (\S+),", said).groups())
     assert abs(leak - 8.005e-6) < 2 * sd < 1.6e-5
     learned, plain = map(float, re.findall(r"all (\d+\.\d) % of 165", said))
     assert 90 <= learned <= 99

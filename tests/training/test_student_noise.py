@@ -201,4 +201,4 @@ def test_an_estimate_keeps_tails_for_the_evaluation():
     assert seen.freedom.tolist() == [3.0, math.inf]
     said = noise.sentences(("q", "p"), ("m", "m/s"))
     assert said[0].endswith("its standard deviation, for filters, is 1.73 m")
-    assert said[1].startswith("tails of the noise of p cannot be distinguished")
+    assert said[1].startswith("noise tails of p cannot be distinguished")

@@ -133,9 +133,9 @@ def finding(content: Content, c: int, file: str, row: int, ratio: float) -> Find
     level: Level = "warning" if content.momenta else "fault"
     kind = f"{name} over the mass" if content.momenta else name
     if ratio == 0:
-        what = f"{kind} is not the change of {position} per {per}, nor proportional to it"
+        what = f"{kind} is neither the change in {position} per {per} nor proportional to it"
         return Finding(level, file, row, name, what, "Give both in one inertial frame")
-    what = f"{kind} is {ratio:.4g} times the change of {position} per {per}"
+    what = f"{kind} is {ratio:.4g} times the change in {position} per {per}"
     size = abs(ratio) if abs(ratio) > 1 else 1 / abs(ratio)
     for factor, hint in FACTORS.items():
         if abs(size / factor - 1) < EXACT and ratio > 0:

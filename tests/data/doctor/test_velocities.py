@@ -65,7 +65,7 @@ def test_what_is_not_even_proportional_is_told_apart():
     track = swing()
     track.values[:, 1] = np.cos(7 * track.times)
     (one,) = found(track)
-    assert one.what == "v is not the change of q per s, nor proportional to it"
+    assert one.what == "v is neither the change in q per s nor proportional to it"
 
 
 def test_two_percent_need_no_explanation_and_four_do():

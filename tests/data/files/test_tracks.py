@@ -87,8 +87,8 @@ def test_times_that_do_not_increase_are_named_with_the_last_that_did():
     assert [(fault.place.row, fault.expected, fault.received) for fault in faults] == [
         (4, "a time", "none"),
         (5, "a time of a after 2.0 of row 3", "1.0"),
-        (6, "each time of a once", "2.0 again, as in row 3"),
-        (8, "each time of a once", "3.0 again, as in row 7"),
+        (6, "each time of a once", "2.0, which duplicates row 3"),
+        (8, "each time of a once", "3.0, which duplicates row 7"),
     ]
     assert len(ordered(track([]), "t").times) == 0
 
@@ -100,7 +100,7 @@ def test_times_that_restart_are_one_fault():
     ((place, expected, received, remedy),) = [(f.place, f.expected, f.received, f.remedy) for f in faults]
     assert (place.row, place.column, expected) == (5, "t", "increasing times of a")
     assert received == "a restart at 0.1 after 2.0, and 1 more"
-    assert "a separate id" in remedy
+    assert "its own id" in remedy
     faults.clear()
     ordered(track([0, 1, 2, 0, 1, 2, 1]), "t", faults.append)  # the last is out of order
     assert [fault.place.row for fault in faults] == [5, 6, 7, 8]

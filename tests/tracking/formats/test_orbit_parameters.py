@@ -73,7 +73,7 @@ def test_a_prediction_from_it_is_that_from_an_ephemeris(tmp_path, monkeypatch):
         ("REF_FRAME = EME2000\n", "", "column REF_FRAME: expected a value"),
         ("T12:00:00.000", "T25:00:00.000", "column EPOCH: expected a time of day"),
         ("CZ_DOT_Z = 3.5e-08\n", "", "column CZ_DOT_Z: expected a value"),
-        ("MASS = 3000.0 [kg]", "MASS: 3000.0 [kg]", "expected KEYWORD = value of an orbit parameter message"),
+        ("MASS = 3000.0 [kg]", "MASS: 3000.0 [kg]", "expected KEYWORD = value in an orbit parameter message"),
     ],
 )
 def test_what_is_wrong_is_refused_by_its_line(old, new, said, tmp_path):

@@ -78,7 +78,7 @@ def test_satellites_units_of_the_sidecar_and_standard_deviations(table):
         (
             "range_km",
             "range_deg",
-            "column range: expected range in km, or a compatible unit; received 'deg'",
+            "column range: expected range in km, or in a compatible unit; received 'deg'",
         ),
         ("range_km", "rnage_km", "each once; received 'rnage_km'; did you mean 'range"),
         ("azimuth_deg", "elevation", "each once; received 'elevation'"),
