@@ -114,7 +114,7 @@ class _Plain(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-_Plain.add_implicit_resolver(  # YAML 1.1 reads 1e5 as a text, JSON and YAML 1.2 as a number
+_Plain.add_implicit_resolver(  # YAML 1.1 reads 1e5 as text, JSON and YAML 1.2 read it as a number
     "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
 )
 

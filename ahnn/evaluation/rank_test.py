@@ -56,7 +56,7 @@ def rank_table(scores: Sequence[Score]) -> str:
     enough = "uniform" if len(scores) >= DRAWS else "too few draws to tell"
     verdict = enough if least * len(every) >= REFUSED else "not uniform"
     lines.append(f"ranks: {verdict}, smallest p {least:.2g} in {len(every)} tests")
-    lines.append(f"within 1, 2, 3 sigma, all trajectories, mean of {len(scores)} draws:")
+    lines.append(f"within 1, 2 and 3 sigma, all trajectories, mean over {len(scores)} draws:")
     lines += [f"  {name:<26}{share_line(rows)}" for name, rows in coverages(scores).items()]
     tests = [one["uncertainty"]["test"] for one in scores]
     every_draw = together([DirectionTest(test["directions"], test["scatter"]) for test in tests])

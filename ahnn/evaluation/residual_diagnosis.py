@@ -135,7 +135,7 @@ def _biases(found: ResidualTests, names: tuple[str, ...], coloured: Tensor) -> l
         each = _listed(zip(names, found.bias.neg().tolist(), constant.tolist(), strict=True))
         said.append(
             f"readings are biased: {each} standard deviations of the noise on average; data.bias_sd=NUMBER "
-            "estimates it with the dynamics"
+            "estimates this bias with the dynamics"
         )
     if bool(spreads.any()):
         each = _listed(zip(names, found.spread.tolist(), spreads.tolist(), strict=True)).replace("+", "")

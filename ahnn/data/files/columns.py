@@ -116,7 +116,7 @@ def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
             known = ", ".join(names[k] for k in rates.values())
             remedy = f"If it is something else: {SIDECAR[0].lower()}{SIDECAR[1:]}"
             place._replace(column=names[i]).refuse(
-                f"its {kinds[0]} too, since there is {known}", "none", remedy
+                f"{kinds[0]} for all positions, like {known}", "none", remedy
             )
     ordered = tuple(rates[i] for i in positions) if rates else ()
     kind = kinds[0] if kinds else "velocities"

@@ -119,7 +119,7 @@ class _CpfReader:
         """Read record H1: version and name of the satellite."""
         if cells[:1] not in (["CPF"], ["cpf"]) or cells[1:2] not in (["1"], ["2"], ["01"], ["02"]):
             place.refuse("CPF version 1 or 2", repr(" ".join(cells[:2])))
-        at = 8 + int(cells[1]) - 1  # version 2 includes the number of a prediction within its day
+        at = 8 + int(cells[1]) - 1  # version 2 adds the sequence number of the prediction within its day
         if len(cells) <= at:
             place.refuse("source, date, numbers and satellite name", repr(" ".join(cells)))
         self.name = cells[at]

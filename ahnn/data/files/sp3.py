@@ -147,7 +147,7 @@ class _Sp3Reader:
         numbers = [one * 1e-4 for one in _numbers(line, place, 1e4 * FASTEST * 10)]
         if any(numbers):
             if np.linalg.norm(numbers) > FASTEST:
-                place.refuse(f"a velocity up to {FASTEST:g} km/s", f"{np.linalg.norm(numbers):.1f} km/s")
+                place.refuse(f"a velocity of at most {FASTEST:g} km/s", f"{np.linalg.norm(numbers):.1f} km/s")
             self.orbits[name].velocities[-1] = numbers
         return None
 

@@ -123,7 +123,7 @@ def _estimate(blocks: _Blocks, line: str, place: Place) -> None:
     value = within(cells[8], place._replace(column=f"{kind} of {cells[2]}"), low, high)
     one = blocks.estimates.setdefault(key, SinexEstimate(place, reference, {}))
     if kind in one.values or one.reference != reference:
-        place.refuse(f"each type of a solution once, at one epoch ({kind} of {cells[2]})", "a second")
+        place.refuse(f"each type once per solution, at one epoch ({kind} of {cells[2]})", "a second")
     one.values[kind] = value
 
 

@@ -81,7 +81,7 @@ def test_epochs_of_two_and_four_digits():
             "expected a valid epoch YY:DDD:SSSSS",
         ),
         ("10:001:00000 m    2 -.2389", "10:001:00000 km   2 -.2389", "expected an epoch, and STAX in m"),
-        ("     2 STAY   7090  A    1", "     2 STAX   7090  A    1", "expected each type of a solution once"),
+        ("     2 STAY   7090  A    1", "     2 STAX   7090  A    1", "expected each type once per solution"),
         ("     6 VELZ   7090  A    1", "     6 RBIAS  7090  A    1", "column VELZ: expected all three"),
         ("-SOLUTION/EPOCHS\n", "", "expected -SOLUTION/EPOCHS before another block"),
         ("%ENDSNX\n", "", "expected %ENDSNX at the end; received none. The file is cut off"),
