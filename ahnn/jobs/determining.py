@@ -130,7 +130,7 @@ def learned_lines(ready: PreparedOrbit, fit: OrbitFit) -> list[str]:
     lines = [f"learned acceleration in m/s² at the start, quarters and end: {words}"]
     if fit.smooth is not None:
         lines.append(
-            f"  smoothness from the evidence: values of about {1e3 * fit.smooth.deviation * term.basis.unit:.2g} m/s², "
+            f"  smoothness from the evidence: about {1e3 * fit.smooth.deviation * term.basis.unit:.2g} m/s², "
             f"changing over {fit.smooth.length / 3600:.1f} h"
         )
     return lines

@@ -98,7 +98,8 @@ def of_component(content: Content, c: int, pairs: list[tuple[Track, VelocityComp
 def misfit(one: VelocityComparison, c: int, *, orbit: bool = False) -> float | None:
     """Return 1 for a correct velocity, else its ratio to the derivative (0 if not proportional).
 
-    Returns None if undetermined. Components of an orbit are also compared with its speed.
+    Returns None if undetermined. For orbits, the velocity components are also compared with the
+    orbital speed.
     """
     exact = OF_SPEED * float(np.median(np.linalg.norm(one.derived, axis=1))) if orbit else 0.0
     stated, derived, doubts = (part[:, c] for part in one)
