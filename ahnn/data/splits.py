@@ -161,8 +161,7 @@ def split_sizes(count: int, fractions: list[float]) -> list[int]:
         named = ", ".join(f"{name} {size}" for name, size in zip(SPLITS, sizes, strict=True))
         message = (
             f"split: expected at least one trajectory in each part; received {count} trajectories with "
-            "fractions "
-            f"{fractions}, which makes {named}. Use more trajectories, or cut trajectories of files with "
+            f"fractions {fractions}, that is, {named}. Use more trajectories, or cut trajectories of files with "
             "system.cut"
         )
         raise UserError(message)

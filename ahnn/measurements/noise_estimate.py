@@ -140,7 +140,7 @@ class NoiseEstimate:
         if not coloured:
             return "no correlation of the noise in time was found"
         each = [
-            f"{100 * part:.3g} % of the noise of {name} over {memory:.3g}"
+            f"{100 * part:.3g} % of the noise variance of {name} over times of {memory:.3g}"
             for name, _, part, memory in coloured
         ]
         white, slow = (
