@@ -161,8 +161,8 @@ def split_sizes(count: int, fractions: list[float]) -> list[int]:
         named = ", ".join(f"{name} {size}" for name, size in zip(SPLITS, sizes, strict=True))
         message = (
             f"split: expected at least one trajectory in each part; received {count} trajectories with "
-            f"fractions {fractions}, that is, {named}. Use more trajectories, or cut trajectories of files with "
-            "system.cut"
+            f"fractions {fractions}, that is, {named}. Use more trajectories, or cut trajectories of files "
+            "with system.cut"
         )
         raise UserError(message)
     return sizes
