@@ -225,7 +225,7 @@ def test_known_controls_are_held_or_interpolated_between_samples():
 def test_controls_that_no_force_takes_are_said(tmp_path, capsys):
     words = ["system=pushed_spring", "hamiltonian=mechanical", "loss=recursive", "trainer.max_epochs=1"]
     trained(tmp_path / "run", *words)
-    said = "the controls u of the data have no effect in this model; forces=controls uses them"
+    said = "the controls u in the data have no effect in this model; forces=controls uses them"
     assert said in capsys.readouterr().err
 
 

@@ -41,7 +41,7 @@ def calibrate(prepared: Prepared) -> None:
     if prepared.weights is not None and prepared.checkpoint is None:
         begin_at(model, prepared.weights)
     model.to(trainer.strategy.root_device)
-    # The integrator may take shorter steps between measurements, and the dynamics are learned for these steps.
+    # The integrator may take shorter steps between measurements; the dynamics are learned for these.
     dt = min(statistics.dt, math.inf if data.sensor is None else data.instrument.longest)
     domain = find_domain(model.dynamics.frozen(), data.examples()).about()
     model.learns_from(dt=dt, domain=domain, seen=data.splits.seen())

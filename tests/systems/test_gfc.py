@@ -139,7 +139,7 @@ def test_what_varies_in_time_is_taken_at_an_epoch(parsed):
         (TEXT.replace("modelname  ", "radius 5\nmodelname  "), "one radius with a value"),
         (BODY, "end_of_head"),
         (TEXT[:-200], "row 56: expected order m as a whole number; received nothing"),
-        (TEXT[:-180], "row 56: expected 7 columns, as in the first row gfc; received"),
+        (TEXT[:-180], "row 56: expected 7 columns, as in the first gfc row; received"),
         (
             "\n".join(TEXT.splitlines()[:-3]),
             r"all coefficients to max_degree 8; received none for n, m = \(8, 6\)",

@@ -55,7 +55,7 @@ def test_what_is_wrong_is_named(bench, tmp_path):
         ]
         assert {one.level for one in found} == {"fault"}
     found = bench.verdict(bench.ORBITS["m/s as km/s"](leo, draw), tmp_path)
-    assert {one.what for one in found} == {f"v{x} is 1000 times the change of {x} per s" for x in "xyz"}
+    assert {one.what for one in found} == {f"v{x} is 1000 times the change in {x} per s" for x in "xyz"}
     assert "Correct the unit: metres given as km" in found[0].remedy
     heavy = leo._replace(v=2.5 * leo.v)
     assert "is 2.5 times the change" in bench.verdict(heavy, tmp_path)[0].what
@@ -117,7 +117,7 @@ def test_canonical_momenta_that_are_no_mass_times_velocity_are_only_warned_of(tm
     path = [tmp_path / "a.csv"]
     assert of_columns(path, FileReading(weighed=True), mass=3.0) == []
     (found,) = of_columns(path, FileReading(weighed=True), mass=1.0)
-    assert (found.level, found.what) == ("warning", "p over the mass is 3 times the change of q per 1")
+    assert (found.level, found.what) == ("warning", "p over the mass is 3 times the change in q per 1")
     (found,) = of_columns(path, FileReading())
     assert (found.level, found.what) == ("fault", "momenta without a stated mass")
 
@@ -180,7 +180,7 @@ def test_a_training_asks_first(mislabelled, tmp_path, capsys):
     assert call("ahnn.train", *command) == 2
     said = capsys.readouterr().err
     assert (
-        "swings.csv, row 1, column v: expected valid data; received: v is 100 times the change of q per s"
+        "swings.csv, row 1, column v: expected valid data; received: v is 100 times the change in q per s"
         in said
     )
     assert "`python -m ahnn.data check` lists all faults. Set system.unsound=true to train anyway" in said

@@ -89,7 +89,7 @@ def test_an_epoch_that_is_none_is_named(tmp_path):
         with pytest.raises(UserError, match=r"a.csv, row 3, column t: expected (an epoch|a date)"):
             Files("mine", str(tmp_path / "a.csv"))
     (tmp_path / "a.csv").write_text("t [EST],x [km]\n2024-02-01T00:00:00,1\n")
-    with pytest.raises(UserError, match=r"column t: expected a time scale of epochs, UTC, TAI"):
+    with pytest.raises(UserError, match=r"column t: expected a time scale for the epochs: one of UTC, TAI"):
         Files("mine", str(tmp_path / "a.csv"))
 
 

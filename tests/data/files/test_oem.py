@@ -154,7 +154,7 @@ def test_a_frame_that_rotates_is_warned_of(tmp_path, caplog):
         ("2017-001T", "2017-1T", "row 20, column EPOCH: expected an epoch such as"),
         ("2017-001T00:01", "2016-12-31T23:59", "row 20, column EPOCH: expected a time of 1994-081A after"),
         ("2017-001T00:01:00.5Z", "2017-01-01T00:00:00", "row 20, column EPOCH: expected each time"),
-        ("CENTER_NAME = EARTH\n", "", "row 6, column CENTER_NAME: expected a value in the metadata"),
+        ("CENTER_NAME = EARTH\n", "", "row 6, column CENTER_NAME: expected a value in the segment metadata"),
         ("TIME_SYSTEM = UTC", "TIME_SYSTEM", "row 11: expected KEYWORD = value"),
         ("1e-9 6e-8", "1e-9", "row 22, column EPOCH: expected the 21 numbers of a lower triangle"),
         ("EPOCH = 2017", "AT = 2017", "row 22: expected EPOCH or COV_REF_FRAME; received 'AT'"),

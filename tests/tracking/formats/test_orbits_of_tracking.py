@@ -72,7 +72,7 @@ def test_version_1_has_no_number_within_the_day():
         ("58282      0.000000", "58282    900.000000", "expected each time of orekitSat once"),
         ("10 0 58282      0.0", "19 0 58282      0.0", "expected a CPF record"),
         ("99\n", "", "expected record 99 at the end; received none. The file is cut off"),
-        (CPF[CPF.index("10 0") :], "", "expected positions (records 10) of a prediction (CPF)"),
+        (CPF[CPF.index("10 0") :], "", "expected positions (records 10) of a laser ranging prediction"),
     ],
 )
 def test_what_is_wrong_in_a_prediction_is_refused_by_its_line(old, new, said):

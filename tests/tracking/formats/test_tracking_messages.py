@@ -115,7 +115,7 @@ WRONG = {
     ("PATH = 1,2,1", "PATH = 1,2,3"): "column PATH: expected 1,2 or 1,2,1; received 1,2,3",
     ("PATH = 1,2,1", "PATH = 3,2,3"): "column PATH: expected named participants",
     ("MODE = SEQUENTIAL", "MODE = SINGLE_DIFF"): "column MODE: expected SEQUENTIAL; received SINGLE_DIFF",
-    ("TIME_SYSTEM = UTC", "TIME_SYSTEM = UT1"): "column TIME_SYSTEM: expected UTC, TAI, GPS, TT",
+    ("TIME_SYSTEM = UTC", "TIME_SYSTEM = UT1"): "column TIME_SYSTEM: expected one of UTC, TAI, GPS, TT",
     ("ANGLE_TYPE = AZEL", "ANGLE_TYPE = XEYN"): "expected ANGLE_TYPE = AZEL or RADEC; received 'XEYN'",
     ("ANGLE_TYPE = AZEL", "ANGLE_TYPE = RADEC"): "expected REFERENCE_FRAME = EME2000, ICRF or GCRF",
     ("INTEGRATION_REF = END", "INTEGRATION_REF = LAST"): "expected INTEGRATION_INTERVAL and INTEGRATION_REF",
@@ -168,7 +168,7 @@ def test_the_structure_of_a_message_is_held():
         (
             "CCSDS_TDM_VERS = 2.0",
             "CCSDS_TDM_VERS = 9.0",
-            "expected version 1.0 or 2.0 of a TDM; received '9.0'",
+            "expected TDM version 1.0 or 2.0; received '9.0'",
         ),
         ("DATA_STOP\n", "", "expected DATA_STOP at the end of a segment"),
         ("DATA_START\n", "", "expected DATA_START after META_STOP"),
