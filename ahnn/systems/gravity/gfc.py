@@ -89,7 +89,7 @@ def header(lines: list[CoefficientLine], file: CoefficientLine) -> dict[str, Coe
     starts = [k for k, line in enumerate(lines) if line.word(0) == "begin_of_head"]
     head: dict[str, CoefficientLine] = {}
     for line in lines[starts[0] + 1 if starts else 0 :]:
-        name = MU if line.word(0) == "gravity_constant" else line.word(0)  # in fields of other bodies
+        name = MU if line.word(0) == "gravity_constant" else line.word(0)  # name used for other bodies
         if name not in (MU, RADIUS, DEGREE, "modelname", *KNOWN):
             continue
         if len(line.words) < 2 or name in head:

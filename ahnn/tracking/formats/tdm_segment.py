@@ -47,7 +47,7 @@ class TdmSegment:
         known = (*USED_DATA, *WEATHER, *UNUSED_DATA)
         if key not in known:
             guess = nearest(key, known)
-            guess = guess if "mean" in guess else ""  # no complete list of keywords
+            guess = guess if "mean" in guess else ""  # the list of known keywords is incomplete
             place.refuse("a TDM data keyword", f"{key!r}{guess}")
         self.records.append((place.row, key, epoch, value))
 
