@@ -43,7 +43,7 @@ class CalibrationRequest:
     fitted: Annotated[float, Within(0, 1)] = 0.5
     jobs: Count = 1
     output: str = "runs/calibration"
-    only: list[Count] | None = None  # only these draws, counted from 1; the command starts its processes with this key
+    only: list[Count] | None = None  # only these draws, counted from 1: set for worker processes
 
 
 class CalibrationDraw(NamedTuple):

@@ -53,9 +53,9 @@ def test_times_that_differ_by_rounding_are_the_same(span):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("t,v\n0,1\n", "row 1: expected columns u, the controls; received t, v"),
-        ("s,u\n0,1\n", "expected one column t or time"),
-        ("t,time,u\n0,0,1\n", "expected one column t or time"),
+        ("t,v\n0,1\n", "row 1: expected the control columns u; received t, v"),
+        ("s,u\n0,1\n", "expected one column named t or time"),
+        ("t,time,u\n0,0,1\n", "expected one column named t or time"),
         ("t,u\n0,1\n0,2\n3,1\n", "row 3, column t: expected increasing times; received 0"),
         ("t,u\n0,1\n2,3\n1,2\n", "row 4, column t: expected increasing times; received 1"),
         ("t,u\n0,1\n1,\n", "row 3, column u: expected a number in each row; received none. Repeat"),

@@ -50,7 +50,7 @@ FOREIGN = {
     "CCSDS_XYZ_VERS = 1.0\n": "a CCSDS message XYZ",
     '<?xml version="1.0"?>\n<opm version="2.0"><body/></opm>': "orbit parameter message (OPM)",
     "<ndm><oem><body/></oem><tdm/></ndm>": "tracking data message (TDM)",
-    "<html><body/></html>": "<html> in it",
+    "<html><body/></html>": "one with <html>",
     "#dP2024  3  1 12  0  0.00000000      96 ORBIT IGb20 HLM  IGS\n": "SP3",
     "H1 CPF  2  SGF 2016 02 13 01  544 lageos2\n": "CPF",
     "h1 crd  1 2016 02 14 00\n": "CRD",
@@ -150,7 +150,7 @@ def test_what_belongs_to_no_ephemeris_is_refused(tmp_path, message, old, new, ex
         (
             "</data>",
             "<keplerianElements/></data>",
-            "<keplerianElements> in it. Give the ephemeris in a separate file",
+            "one with <keplerianElements>. Give the ephemeris in a separate file",
         ),
         ("<X>", "<X>1</X><X>", "column X: expected each element once"),
         ("<X_DOT>", '<X_DOT units="m/s">', "column X_DOT: expected units km/s; received 'm/s'"),

@@ -156,7 +156,7 @@ def test_a_frame_that_rotates_is_warned_of(tmp_path, caplog):
         ("2017-001T00:01:00.5Z", "2017-01-01T00:00:00", "row 20, column EPOCH: expected each time"),
         ("CENTER_NAME = EARTH\n", "", "row 6, column CENTER_NAME: expected a value in the segment metadata"),
         ("TIME_SYSTEM = UTC", "TIME_SYSTEM", "row 11: expected KEYWORD = value"),
-        ("1e-9 6e-8", "1e-9", "row 22, column EPOCH: expected the 21 numbers of a lower triangle"),
+        ("1e-9 6e-8", "1e-9", "row 22, column EPOCH: expected the 21 numbers of the lower triangle"),
         ("EPOCH = 2017", "AT = 2017", "row 22: expected EPOCH or COV_REF_FRAME; received 'AT'"),
         (
             "EPOCH = 2017-01-01T00:00:00\n",
@@ -194,7 +194,7 @@ def test_segments_that_disagree_are_refused(tmp_path):
         ("</body>", "", "row 7: expected XML; received mismatched tag"),
         ("<X>", '<X units="m">', "row 3, column X: expected units km; received 'm'"),
         ("<Z>0.0</Z>", "", "row 3, column Z: expected the element; received none"),
-        ("<segment>", "<part>", "row 2: expected an orbit ephemeris message <oem>; received <part> in it"),
+        ("<segment>", "<part>", "row 2: expected an orbit ephemeris message <oem>; received one with <part>"),
         ("<oem", '<!DOCTYPE x [<!ENTITY a "b">]><oem', "row 2: expected no custom entities"),
     ],
 )

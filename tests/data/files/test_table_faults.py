@@ -21,8 +21,8 @@ FAULTS = {
     "infinite": (GOOD.replace("b,0,1,2", "b,0,1,-inf"), "row 4, column vx: expected a finite number"),
     "short row": (GOOD.replace("b,0,1,2", "b,0,1"), "row 4: expected 4 cells, as in the header; received 3"),
     "long row": (GOOD.replace("b,0,1,2", "b,0,1,2,9"), "row 4: expected 4 cells"),
-    "no time": (GOOD.replace("t [s]", "u [s]"), "row 1: expected one column t or time"),
-    "two times": (GOOD.replace("id", "time [s]"), "expected one column t or time"),
+    "no time": (GOOD.replace("t [s]", "u [s]"), "row 1: expected one column named t or time"),
+    "two times": (GOOD.replace("id", "time [s]"), "expected one column named t or time"),
     "time missing": (GOOD.replace("a,1,2,3", "a,,2,3"), "row 3, column t: expected a time; received none"),
     "duplicate": (
         GOOD.replace("b,1,2,3", "b,0,2,3"),
@@ -34,7 +34,7 @@ FAULTS = {
     ),
     "disorder": (
         GOOD.replace("a,1,2,3", "a,-1,2,3"),
-        "row 3, column t: expected a time of a after 0.0 of row 2; received -1.0",
+        "row 3, column t: expected a time of a after 0.0 in row 2; received -1.0",
     ),
     "twice": (
         GOOD.replace("id", "x"),
@@ -43,7 +43,7 @@ FAULTS = {
     "unknown unit": (GOOD.replace("x [km]", "x [miles]"), "column x: expected a unit, a product of powers"),
     "two names of a trajectory": (
         GOOD.replace("x [km]", "trajectory"),
-        "row 1: expected one column t or time and at most one id or trajectory; received ",
+        "row 1: expected one column named t or time, and at most one named id or trajectory",
     ),
     "no length": (GOOD.replace("x [km]", "x [kg]"), "column x: expected a length, an angle or [1]"),
     "no time unit": (GOOD.replace("t [s]", "t [m]"), "column t: expected a time or [1]; received 'm'"),
@@ -54,7 +54,7 @@ FAULTS = {
     ),
     "half": (
         GOOD.replace("id", "y [km]").replace("a", "0").replace("b", "1"),
-        "column y: expected its velocities",
+        "column y: expected velocities for all positions, like vx",
     ),
     "velocity twice": (
         "t,x,vx,v_x\n0,1,2,3\n",
@@ -102,7 +102,7 @@ def test_a_fault_is_named_with_its_place(tmp_path, fault):
         ("units: {z: km}", "expected a column 'z' (units)"),
         ("units: {x: m}", "column x: expected [m], as in the sidecar; received [km]. State it once"),
         ("columns: {time: s}", "expected a column 's' (time)"),
-        ("columns: {times: t}", "expected columns of time, id, positions, velocities, momenta"),
+        ("columns: {times: t}", "expected one of the roles time, id, positions, velocities, momenta"),
         ("columns: {time: t}", "expected one time, at most one id, positions"),
         ("columns: {time: t, positions: [x, id], velocities: vx}", "equally many velocities or momenta"),
     ],

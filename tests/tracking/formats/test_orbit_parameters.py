@@ -65,7 +65,11 @@ def test_a_prediction_from_it_is_that_from_an_ephemeris(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("CCSDS_OPM_VERS = 2.0", "CCSDS_OPM_VERS = 5.0", "row 1: expected version 1.0, 2.0, 3.0"),
+        (
+            "CCSDS_OPM_VERS = 2.0",
+            "CCSDS_OPM_VERS = 5.0",
+            "row 1: expected an orbit parameter message (OPM), version 1.0, 2.0 or 3.0",
+        ),
         ("6503.514000 [km]", "6503514.0 [m]", "row 11, column X: expected units km; received 'm'"),
         ("6503.514000", "65o3.514", "column X: expected a number; received '65o3.514'"),
         ("Y = 1239.647000 [km]\n", "", "column Y: expected a value in an orbit parameter message (OPM)"),

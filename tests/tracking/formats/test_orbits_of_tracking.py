@@ -123,7 +123,7 @@ def test_time_systems_and_positions_alone(system, clock):
         ("15100.123456", "15100.12x456", "row 16, column position of G01: expected a number"),
         (" 15100.123456 -20100.654321   8100", "     1.000000      2.000000      1", "km from the centre"),
         ("*  2024  3  1  0 15", "*  2024  3 41  0 15", "row 15: expected a calendar date"),
-        ("*  2024  3  1  0 15", "*  2024  3  1  0  0", "expected each time of G01 once; received 0.0 again"),
+        ("*  2024  3  1  0 15", "*  2024  3  1  0  0", "expected each time of G01 once; received 0.0, which"),
         (
             "VG01 -12000.000000",
             "VG02 -12000.000000",
