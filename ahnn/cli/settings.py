@@ -101,7 +101,7 @@ def require_alone(values: dict[str, Any]) -> None:
     """Raise UserError for members of an ensemble together with settings that contradict them."""
     if values.get("members") is None:
         return
-    same = "members differ by their own initial weights"
+    same = "members differ in their initial weights"
     for key, expected in (
         ("seeds", "null, since members use seed, seed + 1, ..."),
         ("weights", f"null, since {same}"),

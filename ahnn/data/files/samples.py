@@ -16,7 +16,7 @@ from ahnn.types import Trajectories
 Array = NDArray[np.float64]
 ON_GRID = 0.01
 """Tolerance of sample times, as a fraction of the step, for detecting a regular grid."""
-APART = "its own id (in a table) or segment (in a message)"
+APART = "a separate id (in a table) or segment (in a message)"
 FILL = 20
 """Ratio of missing to present samples above which a gap separates two trajectories."""
 

@@ -68,8 +68,7 @@ def sgp4_content(
     if step is None or duration is None or duration < step:
         message = (
             "step, duration: expected the sampling interval and duration, in seconds, of the trajectories "
-            "that "
-            f"SGP4 propagates from the {named} in {file}; received {step} and {duration}. In "
+            f"that SGP4 propagates from the {named} in {file}; received {step} and {duration}. In "
             "ahnn.train, set system.step and system.duration"
         )
         raise UserError(message)

@@ -100,7 +100,7 @@ def test_times_that_restart_are_one_fault():
     ((place, expected, received, remedy),) = [(f.place, f.expected, f.received, f.remedy) for f in faults]
     assert (place.row, place.column, expected) == (5, "t", "increasing times of a")
     assert received == "a restart at 0.1 after 2.0, and 1 more"
-    assert "its own id" in remedy
+    assert "a separate id" in remedy
     faults.clear()
     ordered(track([0, 1, 2, 0, 1, 2, 1]), "t", faults.append)  # the last is out of order
     assert [fault.place.row for fault in faults] == [5, 6, 7, 8]
