@@ -51,8 +51,7 @@ class StreamClock(NamedTuple):
         if self.zero is None:
             message = (
                 "epoch: expected the epoch of time zero, since the measurements have epochs, such as "
-                f"{cell[:40]}; "
-                "received none. Add epoch="
+                f"{cell[:40]}; received none. Add epoch="
             )
             raise UserError(message)
         system = self.cells or self.system

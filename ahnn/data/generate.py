@@ -89,7 +89,6 @@ def require_finite(system: System, states: Tensor, ends: Tensor, before: int) ->
     message = (
         f"system {system.name}: expected finite states; received {states[b, k].tolist()} in trajectory "
         f"{before + b} after {k} steps of dt={system.dt}; {lost} diverge. Shorten system.dt or narrow the "
-        "ranges "
-        "of the initial states"
+        "ranges of the initial states"
     )
     raise UserError(message)

@@ -62,8 +62,7 @@ class Explained(NamedTuple):
         text = (
             f"residuals of unseen measurements have {self.chi_square:#.4g} times the noise variance (1 "
             f"{low - 1:+.1g} to {high - 1:+.1g} if the model is right), and successive residuals correlate "
-            "by "
-            f"{self.correlation:+.1g}"
+            f"by {self.correlation:+.1g}"
         )
         text += f"; {in_percent(self.outliers)} excluded as outliers" if self.outliers else ""
         if self.halved_steps is not None and abs(self.halved_steps - self.chi_square) > (high - low) / 2:

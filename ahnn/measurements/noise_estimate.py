@@ -126,7 +126,7 @@ class NoiseEstimate:
             )
         nu, low, high = (values[k] for values in (self.freedom, self.freedom_low, self.freedom_high))
         said = (
-            f"the noise of {name} is Student's with {nu:.2g} degrees of freedom (95 % interval "
+            f"the noise of {name} follows Student's t with {nu:.2g} degrees of freedom (95 % interval "
             f"{low:.2g} to {high:.2g}) and scale {scale}"
         )
         if nu <= 2:

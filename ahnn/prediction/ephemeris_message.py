@@ -45,8 +45,7 @@ def ephemerides(prediction: Prediction, starts: Starts, space: Space) -> list[Ep
     if space.dof != 3 or position.dimension != LENGTH or second.dimension != TIME:
         message = (
             "output: expected three positions in a unit of length, and a unit of time, for an ephemeris "
-            "message; "
-            f"received {space.dof} in {space.units.position}, and {space.units.time}. Write .csv"
+            f"message; received {space.dof} in {space.units.position}, and {space.units.time}. Write .csv"
         )
         raise UserError(message)
     frame, center, clock, epoch = starts.reference

@@ -62,8 +62,7 @@ class LevenbergMarquardt(Optimizer):
         if self.acceleration and not any(getattr(objective, "bends", False) for objective in objectives):
             message = (
                 "optimizer.acceleration: expected a loss on measurements (loss.stages), whose residuals "
-                "have known "
-                "curvature; received windows of states. Use optimizer=levenberg_marquardt"
+                "have known curvature; received windows of states. Use optimizer=levenberg_marquardt"
             )
             raise UserError(message)
 

@@ -105,7 +105,7 @@ def test_angles_of_a_one_way_link_are_read_and_its_ranges_are_not(notation):
     angles = "\n".join(line for line in DATA.splitlines() if line.startswith("ANGLE")) + "\n"
     (data,) = tdm_data(notation(meta, angles), "a.tdm")
     assert (data.kinds, data.stations, data.object) == (("azimuth", "elevation"), ("DSS-1",), "2024-001A")
-    with pytest.raises(UserError, match="expected a two-way link .PATH = 1,2,1."):
+    with pytest.raises(UserError, match=r"expected a two-way link \(PATH = 1,2,1\)"):
         tdm_data(notation(meta), "a.tdm")
 
 
