@@ -167,11 +167,8 @@ class Layout:
         for key in self.foreign[name]:
             if key in row and (name, key) not in self.said and not is_missing(row[key]):
                 self.said.add((name, key))
-                log.warning(
-                    "measurements: %s is ignored on lines from sensor %s, which does not measure it",
-                    key,
-                    name,
-                )
+                ignored = "measurements: %s is ignored on lines from sensor %s, which does not measure it"
+                log.warning(ignored, key, name)
 
     def _cells(self, text: str) -> dict[str, Any]:
         assert self.names is not None

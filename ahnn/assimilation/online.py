@@ -206,8 +206,9 @@ class Assimilation:
         """Return the settings of a saved state that differ from ours, for messages; "" if none."""
         if notes["of"] != self.identity:
             return (
-                "state: expected a state of this model, process noise, gate, sensors and window; received "
-                f"{path}, saved with different settings. Repeat the original command, or remove both files"
+                "state: expected a state saved with this model, process noise, gate, sensors and window; "
+                f"received {path}, saved with different settings. Repeat the original command, or remove "
+                "both files"
             )
         if notes["controls"] != self.controls.hash_before(time):
             return (
