@@ -78,7 +78,7 @@ class Interval(NamedTuple):
         return len(value) == 2 and value[0] <= value[1] and all(end in self.ends for end in value)
 
     def __str__(self) -> str:
-        return f"a range [low, high], low <= high, of numbers {self.ends}"
+        return f"a range [low, high] of numbers {self.ends}, with low <= high"
 
 
 class Printable(NamedTuple):

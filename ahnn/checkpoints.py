@@ -46,7 +46,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     except Exception as error:  # torch and zipfile raise many types for a damaged file
         reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
         message = (
-            f"checkpoint {path}: expected an intact checkpoint of ahnn; received a damaged file ({reason}). "
+            f"checkpoint {path}: expected an intact ahnn checkpoint; received a damaged file ({reason}). "
             "Use another one, or train again"
         )
         raise UserError(message) from error

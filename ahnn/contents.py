@@ -82,9 +82,9 @@ def _keys(path: Path, expected: str, parse: Any, most: int) -> dict[str, Any]:
         message = f"{path}: expected {expected}; received a damaged file: {' '.join(str(error).split())}"
         raise UserError(message) from error
     if not isinstance(content, dict) or not _is_plain(content):
-        what = repr(content)[:40] if not isinstance(content, dict) else "keys that are not strings, or "
-        "nested too deeply"
-        message = f"{path}: expected {expected}, keys with plain values; received {what}"
+        kind = "keys that are not strings, or values nested too deeply"
+        what = kind if isinstance(content, dict) else repr(content)[:40]
+        message = f"{path}: expected {expected}, with plain values for each key; received {what}"
         raise UserError(message)
     return content
 
@@ -114,7 +114,7 @@ class _Plain(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-_Plain.add_implicit_resolver(  # YAML 1.1 reads 1e5 as a text, JSON and YAML 1.2 as a number
+_Plain.add_implicit_resolver(  # YAML 1.1 reads 1e5 as text, JSON and YAML 1.2 read it as a number
     "tag:yaml.org,2002:float", re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"), list("-+.0123456789")
 )
 

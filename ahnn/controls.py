@@ -35,7 +35,7 @@ class ControlTable(NamedTuple):
         fits = moments.ndim == 1 and len(moments) > 0 and given.shape[-2:-1] == moments.shape
         if not fits or not bool((moments.diff() > 0).all()) or not bool(given.isfinite().all()):
             message = (
-                "controls: expected times (T,) that increase and finite controls (T, m); received "
+                "controls: expected increasing times (T,) and finite controls (T, m); received "
                 f"{tuple(moments.shape)} and {tuple(given.shape)}"
             )
             raise UserError(message)

@@ -87,5 +87,5 @@ def covariance_factor(given: Any, size: int, who: str) -> Tensor:
         values, vectors = torch.linalg.eigh(scaled)
         if torch.allclose(scaled, scaled.mT, rtol=0.0, atol=ROUNDING) and bool((values > -ROUNDING).all()):
             return sd.unsqueeze(-1) * vectors * values.clamp(min=0.0).sqrt().unsqueeze(-2)
-    message = f"{who}: expected a covariance, {size} x {size}, without negative eigenvalues; received {given}"
+    message = f"{who}: expected a {size} x {size} covariance without negative eigenvalues; received {given}"
     raise UserError(message)

@@ -102,7 +102,7 @@ def _remove_unfinished(folder: Path, known: dict[str, set[str]] | None) -> None:
             continue
         if known is not None and found[2][:MARK] not in {each[:MARK] for each in known.get(found[1], ())}:
             continue
-        with contextlib.suppress(OSError), path.open("r+b") as file:  # gone, or its writer is alive
+        with contextlib.suppress(OSError), path.open("r+b") as file:  # file gone, or its writer alive
             lock(file, wait=False)
             path.unlink()  # not possible on Windows, where the file stays
 

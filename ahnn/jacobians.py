@@ -16,7 +16,7 @@ TOGETHER = 12_000
 
 def pointwise_jacobian(function: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
     """Return df/dx, shape (..., M, D), of a function that maps each x (..., D) to its own f (..., M)."""
-    # Adds zero times x: where f does not depend on x, the process would crash (torch 2.13).
+    # Adds zero times x: the process would crash if f did not depend on x (torch 2.13).
     along = lambda z: function(z) + 0.0 * z.sum(-1, keepdim=True)  # noqa: E731
     value, back = vjp(along, x)  # pyright: ignore[reportAssignmentType] - three values only with has_aux
     unit = torch.eye(value.shape[-1]).to(value)

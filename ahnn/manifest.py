@@ -16,7 +16,10 @@ from pathlib import Path
 from ahnn.errors import UserError
 
 NAME = ".ahnn-files"
-HEAD = "# SHA-256 of each file that ahnn wrote here. It replaces and removes these alone, while unchanged.\n"
+HEAD = (
+    "# SHA-256 of each file that ahnn wrote here. It replaces or removes only these, while they are "
+    "unchanged.\n"
+)
 UNRECORDED = {".hydra", "console.log", ".turn", ".claim"}
 """Files that a sweep creates in the folder of a job before the job begins."""
 FLAGS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)

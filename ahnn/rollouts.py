@@ -55,7 +55,7 @@ def rollout(
     own = clock.first(count) if count and clock is not None else None
     with torch.set_grad_enabled(gradients):
         states = _steps(flow, start, dt, samples, description, longest, own)
-        if gradients:  # each row written in place would copy the entire gradient in the backward pass
+        if gradients:  # in-place writes would copy the entire gradient for each row in the backward pass
             return torch.stack(list(states), dim=1)
         out = start.new_empty(start.shape[0], samples, start.shape[1])
         for k, x in enumerate(states):

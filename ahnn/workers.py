@@ -141,7 +141,7 @@ def _killed() -> TrainingError:
     message = (
         f"workers: expected workers that keep running; received one that was killed {STARTS} times in a row"
     )
-    return TrainingError(f"{message}. Check the memory of its machine, and repeat the command")
+    return TrainingError(f"{message}. Check the memory of the machine, and repeat the command")
 
 
 def _end_with_parent() -> None:

@@ -100,7 +100,7 @@ def main() -> None:
     for seed in range(args.first, args.first + args.draws):
         one = drawn(run, seed, anew=args.anew)
         if one is None:
-            print(f"{seed}: explains no trajectory", flush=True)
+            print(f"{seed}: fits no trajectory", flush=True)
             continue
         draws.append(one)
         shares = ", ".join(f"{100 * share:5.1f}" for share in one.coverage)

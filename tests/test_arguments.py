@@ -133,7 +133,7 @@ def test_limits_say_themselves_what_they_admit():
         (Within(), "(finite)", (-1e300,), (inf, nan)),
         (
             Interval(),
-            "a range [low, high], low <= high, of numbers (finite)",
+            "a range [low, high] of numbers (finite), with low <= high",
             ((0, 0), [-1, 2]),
             ((1, 0), (0,)),
         ),

@@ -102,7 +102,7 @@ MISTAKES = {
     "measurements=fixes.csv every=0": "every: expected int >= 1 or None; received 0",
     "measurements=fixes.csv oem=x.oem": "output: expected a FILE",
     "measurements=fixes.csv output=fixes.csv": "output: expected a new file",
-    "measurements=fixes.csv start=[1,2]": "start: expected one state or several of [x [km], y",
+    "measurements=fixes.csv start=[1,2]": "start: expected one or more states [x [km], y",
     "measurements=fixes.csv start_sd=[1,2,3]": "start_sd: expected 6 numbers > 0",
     "measurements=fixes.csv measurement.sd=[1,2]": "measurement.sd: expected a standard deviation > 0",
     "measurements=fixes.csv measurement=ground_station": "expected a header with time and range, az",

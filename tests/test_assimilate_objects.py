@@ -181,4 +181,4 @@ def test_what_is_no_shard_is_refused(capsys):
         assert assimilate(*GIVEN, f"shard={wrong}") == 2
         assert "shard: expected NUMBER/WORKERS, such as 2/8" in capsys.readouterr().err
     assert assimilate(*GIVEN, "shard=7/64") == 2
-    assert "shard: expected at least one of the 4 objects of the start" in capsys.readouterr().err
+    assert "shard: expected at least one of the 4 objects in the start" in capsys.readouterr().err

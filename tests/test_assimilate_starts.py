@@ -81,7 +81,10 @@ MISTAKES = {
         [*NUMBERS, PLAIN, f"time={dated(3)}"],
         "expected a date together with epoch=",
     ),
-    "no date": ([*NUMBERS, PLAIN, "time=noon"], "a date together with epoch= of time zero; received noon"),
+    "no date": (
+        [*NUMBERS, PLAIN, "time=noon"],
+        "a date together with epoch=, the epoch of time zero; received noon",
+    ),
     "numbers, and nobody says from when": ([START, PLAIN], "expected epochs, since the start has an epoch"),
     "two times": ([START, PLAIN, FROM_NOON, "time=3"], "time: expected none, since the start file"),
     "dates, and no epoch": (
@@ -183,7 +186,7 @@ def test_a_start_of_positions_says_how_one_comes_by_a_state(capsys):
 
 
 NOTHING = {
-    "late": (["time=1000"], "10 of 10 late. They precede the start: set its time="),
+    "late": (["time=1000"], "10 of 10 late. They precede the start: set its time "),
     "ahead": (["gap=1"], "10 of 10 ahead. They are too long after the start: set its"),
     "bad": ([], "10 of 10 bad. The lines above state"),
     "predicted": ([], "10 of 10 predicted. Their values are missing"),

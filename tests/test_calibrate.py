@@ -57,8 +57,8 @@ def test_what_is_absent_has_no_rank():
 )
 def test_bands_that_are_too_narrow_are_refused_and_right_ones_are_not(width, verdict, bands):
     text = rank_table(scores(60, width))
-    assert f"ranks: {verdict}, least p" in text
-    assert "within 1, 2, 3 sigma, all trajectories, mean of 60 draws:" in text
+    assert f"ranks: {verdict}, smallest p" in text
+    assert "within 1, 2 and 3 sigma, all trajectories, mean over 60 draws:" in text
     assert "states                    60.0, 90.0, 100.0 %, standard error 0.0 % within 2 sigma" in text
     assert "forecasts at two fifths   50.0, 33.3, 100.0 %" in text
     assert f"errors along 600 independent directions are {width}.00" in text

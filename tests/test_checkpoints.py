@@ -49,9 +49,7 @@ def test_a_damaged_checkpoint_is_one_message(tmp_path, damage):
     path.write_bytes(
         {"empty": b"", "truncated": content[: len(content) // 2], "text": b"hello"}.get(damage, content)
     )
-    with pytest.raises(
-        UserError, match=r"a\.ckpt: expected an intact checkpoint of ahnn; received a damaged"
-    ):
+    with pytest.raises(UserError, match=r"a\.ckpt: expected an intact ahnn checkpoint; received a damaged"):
         read_checkpoint(path)
 
 

@@ -115,12 +115,12 @@ def test_an_override_that_has_no_effect_is_one_message(run, capfd, override, exp
         (
             "config.yaml",
             "- seed\n- label",
-            r"config\.yaml: .*, keys with plain values; received",
+            r"config\.yaml: .*, with plain values for each key; received",
         ),
         (
             "config.yaml",
             "",
-            r"config\.yaml: .*, keys with plain values; received None",
+            r"config\.yaml: .*, with plain values for each key; received None",
         ),
         (
             "config.yaml",
@@ -150,7 +150,7 @@ def test_a_flipped_bit_in_the_weights_is_one_message(run, capfd):
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 1
     path.write_bytes(content)
-    assert "best.ckpt: expected an intact checkpoint" in refused(run, capfd, f"run={run}")
+    assert "best.ckpt: expected an intact ahnn checkpoint" in refused(run, capfd, f"run={run}")
 
 
 def test_help_says_how_to_use_it(capsys):

@@ -155,7 +155,7 @@ def test_a_member_whose_training_failed_is_named(evaluated, monkeypatch, caplog)
 
 REFUSED = {
     "members=1": "members: expected int from 2 to 64",
-    "members=2 seeds=[1,2]": "seeds: expected null, since members have",
+    "members=2 seeds=[1,2]": "seeds: expected null, since members use",
     "members=2 seed=4294967295": "seed: expected at most 4294967294, since each member has its own seed",
     "members=2 weights=molniya_mechanical": "weights: expected null",
     "members=2 trainer.gradient_clip_val=1.0": "trainer.gradient_clip_val: expected none with members",

@@ -79,8 +79,8 @@ def test_equations_are_at_least_the_arrays_that_are_there_at_once():
 @pytest.mark.parametrize(
     ("given", "who"),
     [
-        (["model.network.width=200"], "model.network: expected the equations of second-order steps on 41,"),
-        (["network=paper"], "model.network: expected the equations of second-order steps on 1"),
+        (["model.network.width=200"], "model.network: expected the equations for second-order steps on 41,"),
+        (["network=paper"], "model.network: expected the equations for second-order steps on 1"),
         (["sensor=spring_states", "model.network.width=200"], "model.network: expected the equations"),
         (["data.batch_size=100000000", "data.windows_per_epoch=null"], "data.batch_size: expected the equa"),
     ],

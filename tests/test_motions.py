@@ -211,7 +211,7 @@ def test_known_controls_are_held_or_interpolated_between_samples():
     close(at(ramp, 0.05)(x, 0.05), reduced(flow(extended(x, clock), 0.05), 2), 1e-14)
     with pytest.raises(UserError, match="expected the time at which a step begins"):
         held(x, 0.05)
-    expected = r"steered: expected finite times \(T,\) that increase and controls \(T, 1\)"
+    expected = r"steered: expected finite, increasing times \(T,\) and controls \(T, 1\)"
     for given in ([[1.0], [3.0]], [[1.0], [float("nan")], [5.0]]):
         with pytest.raises(UserError, match=expected):
             steered(flow, times, given)
@@ -225,7 +225,7 @@ def test_known_controls_are_held_or_interpolated_between_samples():
 def test_controls_that_no_force_takes_are_said(tmp_path, capsys):
     words = ["system=pushed_spring", "hamiltonian=mechanical", "loss=recursive", "trainer.max_epochs=1"]
     trained(tmp_path / "run", *words)
-    said = "the controls u of the data have no effect in this model; forces=controls uses them"
+    said = "the controls u in the data have no effect in this model; forces=controls uses them"
     assert said in capsys.readouterr().err
 
 

@@ -38,7 +38,7 @@ REFUSED = {
     "recipe=second_order integrator=gl4": "integrator: expected an explicit method",
     "+plugins.x._target_=fractions.Fraction": "plugins.x: expected EvaluationPlugin; received Fraction",
     "callbacks=[default,pfl] callbacks.pfl.monitor=nonsense": "callbacks.pfl.monitor: expected one of val/",
-    "optimizer=levenberg_marquardt": "data.precision: expected 64, for the digits",
+    "optimizer=levenberg_marquardt": "data.precision: expected 64, for the precision",
     "hamiltonian=central_body": "central_body: expected at least 2 degrees of freedom",
     "model.falloff=3": "falloff: expected 0, since generic has no V(q); received 3",
     "data.emphasis=1e30": "data.emphasis: expected float from 0 to 4; received 1e+30",

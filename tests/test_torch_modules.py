@@ -175,7 +175,7 @@ WRONG = {
     "masses": (lambda: ahnn.Lagrangian(2, inertia=[1.0] * 3), "inertia: expected one mass, or 2"),
     "step": (lambda: ahnn.FlowMap(2), "FlowMap: expected the step of the map as dt, or data"),
     "backward map": (lambda: ahnn.FlowMap(2, dt=-0.1), "dt: expected float > 0 or None; received -0.1"),
-    "other step": (lambda: ahnn.FlowMap(2, dt=0.1)(START.float(), 0.2), "expected the step of its training"),
+    "other step": (lambda: ahnn.FlowMap(2, dt=0.1)(START.float(), 0.2), "expected the step used in training"),
     "map": (lambda: ahnn.FlowMap(2, dt=0.1, kind="mlp"), "kind: expected one of sympnet"),
     "list": (lambda: ahnn.NeuralODE(1)([[1.0, 2.0]], 0.1), "a tensor of 2 components .* received list"),
     "states": (lambda: ahnn.NeuralODE(1)(START, 0.1), r"of 2 components .* received Tensor \(3, 4\)"),
@@ -236,7 +236,7 @@ class Shear(ahnn.dynamics.Dynamics):
 def test_a_map_of_another_package_takes_its_own_step_alone(dt):
     x = torch.ones(2, 2)
     assert torch.equal(Shear()(x, 0.1), torch.tensor([[1.0, 1.1]] * 2))
-    with pytest.raises(UserError, match=r"expected the step of its training, 0\.1; received"):
+    with pytest.raises(UserError, match=r"expected the step used in training, 0\.1; received"):
         Shear()(x, dt)
 
 

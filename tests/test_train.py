@@ -174,7 +174,7 @@ def test_a_damaged_checkpoint_is_one_message(run, tmp_path, capfd):
     path.write_bytes(content[: len(content) // 2])
     assert call("ahnn.train", *short(tmp_path, f"ckpt={path}")) == 2
     err = capfd.readouterr().err
-    assert "half.ckpt: expected an intact checkpoint" in err
+    assert "half.ckpt: expected an intact ahnn checkpoint" in err
     assert "Traceback" not in err
     assert [p.name for p in tmp_path.iterdir()] == ["half.ckpt"]
 

@@ -35,7 +35,7 @@ UNREAD = {
     "plugins=ukf plugins.ukf.patience=3": ("plugins.ukf.patience", "gate=null rejects nothing"),
     "plugins=ukf plugins.ukf.times=[0.3] plugins.ukf.cadence=7": (
         "plugins.ukf.cadence",
-        "times sets the times",
+        "times sets the measurement times",
     ),
     "system=molniya system.periods=2.0 system.steps=9": ("system.steps", "system.periods sets"),
 }

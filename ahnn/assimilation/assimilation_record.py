@@ -102,7 +102,7 @@ def require_orbit(space: Space, reference: Reference) -> None:
     keys = zip(("frame", "center", "time_system", "epoch"), reference, strict=True)
     if missing := [f"{key}=" for key, value in keys if value in ("", None)]:
         message = (
-            f"oem: expected {', '.join(missing)} of the estimates, which neither the model nor the start "
+            f"oem: expected {', '.join(missing)} for the estimates, which neither the model nor the start "
             "states; received none. Add, for example, frame=EME2000 center=EARTH time_system=UTC "
             "epoch=2024-03-01T12:00:00"
         )

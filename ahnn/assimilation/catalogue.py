@@ -232,7 +232,7 @@ def _checked_starts(start: Belief, names: list[str] | None, times: Numbers) -> A
         raise UserError(message)
     moments = as_float64(times, "times")
     if moments.shape not in ((), (count,)) or not bool(moments.isfinite().all()):
-        message = f"times: expected one finite time, or {count}; received {tuple(moments.shape)}"
+        message = f"times: expected one finite time, or {count} of them; received {tuple(moments.shape)}"
         raise UserError(message)
     return moments.expand(count).numpy().copy()
 

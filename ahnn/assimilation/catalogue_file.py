@@ -83,7 +83,7 @@ def read_catalogue(
         message = f"state: expected a file written by save; received {path} ({error})"
         raise UserError(message) from error
     if about["of"] != identity:
-        expected = "a state of this model, process noise, gate, sensors and window"
+        expected = "a state saved with this model, process noise, gate, sensors and window"
         message = f"state: expected {expected}; received {path}, saved with different settings. {OTHERS}"
         raise UserError(message)
     if names is not None and names != about["names"]:

@@ -148,9 +148,9 @@ class CatalogueSession(StreamSession):
 
 
 WORDS = {
-    "late": "is later than the window allows: ignored",
+    "late": "arrived too late (window=): ignored",
     "repeated": "was already processed: ignored",
-    "ahead": "is further ahead than the largest gap allowed: ignored",
+    "ahead": "is too far ahead (gap=): ignored",
     "rejected": "rejected by the gate",
     "reopened": "reopened the gate after consecutive rejections; the covariance was enlarged",
 }

@@ -1,7 +1,7 @@
-/* Numbers as the shortest decimals that read back as the same float64, in the notation of Python.
+/* Format numbers as the shortest decimals that read back as the same float64, in Python's notation.
 
-   x 10^(16 - e) is formed in extended precision, where it is off by 1e-19 of itself, and cut to 15, 16 or 17
-   digits, whichever come first to within half a unit in the last place of x. */
+   x 10^(16 - e) is computed in extended precision, with a relative error of 1e-19, and rounded to the smallest
+   of 15, 16 or 17 digits that is within half a unit in the last place of x. */
 
 #include <float.h>
 #include <math.h>
@@ -15,21 +15,21 @@ static const long double TENS[EXACT + 1] = {1e0L,  1e1L,  1e2L,  1e3L,  1e4L,  1
                                             1e10L, 1e11L, 1e12L, 1e13L, 1e14L, 1e15L, 1e16L, 1e17L, 1e18L, 1e19L,
                                             1e20L, 1e21L, 1e22L, 1e23L, 1e24L, 1e25L, 1e26L, 1e27L};
 
-/* x 10^power, |power| up to 2 EXACT. */
+/* Return x 10^power, for |power| up to 2 EXACT. */
 static long double scaled(long double x, int power) {
     int size = power < 0 ? -power : power, rest = size > EXACT ? size - EXACT : 0;
     long double first = TENS[size - rest], second = TENS[rest];
     return power < 0 ? x / first / second : x * first * second;
 }
 
-/* Digits of x > 0, without zeros at their end, and the exponent of the first; their count. */
+/* Write the digits of x > 0 without trailing zeros, and the exponent of the first digit; return their number. */
 static int digits_of(double x, char *digits, int *exponent) {
     int binary, power = (int)floor(log10(x)), count = 17;
     double mantissa = frexp(x, &binary);
     long double y = scaled(x, 16 - power);
     if (y >= 1e17L) y = scaled(x, 16 - ++power);
     if (y < 1e16L) y = scaled(x, 16 - --power);
-    /* Half a unit in the last place; below a power of two it is half of that. */
+    /* Half a unit in the last place; just below a power of two, half of this value. */
     long double half = scaled(ldexpl(mantissa == 0.5 ? 0.25L : 0.5L, binary - DBL_MANT_DIG), 16 - power);
     uint64_t whole = (uint64_t)(y + 0.5L), shorter;
     for (uint64_t unit = 100; unit > 1; unit /= 10) {
@@ -59,7 +59,7 @@ static char *zeros(char *to, int count) {
     return to + count;
 }
 
-/* One number; NaN is nothing. */
+/* Write one number; NaN is written as an empty cell. */
 static char *number(char *to, double x) {
     char digits[WIDEST];
     int power, count;
@@ -91,7 +91,7 @@ static char *number(char *to, double x) {
     return put(to, digits + power + 1, count - power - 1);
 }
 
-/* Rows of numbers (rows, columns) with commas between them and a line feed behind each; the bytes written. */
+/* Write numbers (rows, columns), separated by commas, with a line feed after each row; return the bytes written. */
 long ahnn_decimals(long rows, long columns, const double *values, char *text) {
     char *to = text;
     for (long i = 0; i < rows; i++)

@@ -56,7 +56,7 @@ class Journal(io.RawIOBase):
             head, *pieces = _pieces(read_whole(self.path, available()))
             self._base, content = int(head), b"".join(pieces)
             if not 0 <= place - self._base <= len(content):
-                message = f"one from {self._base} to {self._base + len(content)}, without byte {place}"
+                message = f"one with bytes {self._base} to {self._base + len(content)}, without byte {place}"
                 raise ValueError(message)  # noqa: TRY301 - one message for every kind of damage
         except (OSError, ValueError) as error:
             message = (

@@ -65,7 +65,7 @@ class Layout:
             message = f"measurements: expected sensors that do not measure controls; received {clash}"
             raise UserError(message)
         self.said: set[tuple[str, str]] = set()
-        self.levelled = False  # an elevation was within its limits
+        self.levelled = False  # whether some elevation was within its limits
         self.names: list[str] | None = None
         self.scales: dict[str, float] = {}
         if "\r" in first.strip():
@@ -167,9 +167,8 @@ class Layout:
         for key in self.foreign[name]:
             if key in row and (name, key) not in self.said and not is_missing(row[key]):
                 self.said.add((name, key))
-                log.warning(
-                    "measurements: %s is ignored on lines of sensor %s, which does not measure it", key, name
-                )
+                ignored = "measurements: %s is ignored on lines from sensor %s, which does not measure it"
+                log.warning(ignored, key, name)
 
     def _cells(self, text: str) -> dict[str, Any]:
         assert self.names is not None
@@ -186,7 +185,7 @@ class Layout:
             try:
                 cells = next(csv.reader([text], delimiter=self.delimiter, skipinitialspace=True))
             except csv.Error as error:
-                message = f"expected cells; received: {error}"
+                message = f"expected valid cells; received: {error}"
                 raise BadLine(message) from error
         return [cell.strip() for cell in cells]
 
@@ -275,7 +274,7 @@ class Layout:
             return factor(given, units[name])
         except ValueError as error:
             message = (
-                f"measurements: expected {name} in {units[name]}, or a compatible unit; received {given}"
+                f"measurements: expected {name} in {units[name]}, or in a compatible unit; received {given}"
             )
             raise UserError(message) from error
 

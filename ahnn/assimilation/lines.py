@@ -86,7 +86,7 @@ class Lines:
             pass
         if self.digest != digest:
             message = (
-                f"measurements: expected the lines processed before, up to line {number}, unchanged; "
+                f"measurements: expected the lines already processed, up to line {number}, unchanged; "
                 "received different lines. Append new lines, or start over with a new state and output"
             )
             raise UserError(message)

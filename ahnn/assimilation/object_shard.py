@@ -50,7 +50,7 @@ class ObjectShard(NamedTuple):
         if not own.any():
             received = f"none for worker {self.number} of {self.workers}"
             message = (
-                f"shard: expected at least one of the {len(names)} objects of the start; received {received}"
+                f"shard: expected at least one of the {len(names)} objects in the start; received {received}"
             )
             raise UserError(message)
         mine = [name for name, is_own in zip(names, own.tolist(), strict=True) if is_own]

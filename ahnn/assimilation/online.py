@@ -206,8 +206,9 @@ class Assimilation:
         """Return the settings of a saved state that differ from ours, for messages; "" if none."""
         if notes["of"] != self.identity:
             return (
-                "state: expected a state of this model, process noise, gate, sensors and window; received "
-                f"{path}, saved with different settings. Repeat the original command, or remove both files"
+                "state: expected a state saved with this model, process noise, gate, sensors and window; "
+                f"received {path}, saved with different settings. Repeat the original command, or remove "
+                "both files"
             )
         if notes["controls"] != self.controls.hash_before(time):
             return (
@@ -292,5 +293,6 @@ def lost_filter(status: int, time: float, sensor: str) -> str:
     """Return the message for a diverged filter, with time and, if relevant, sensor."""
     by = f", by sensor {sensor}" if sensor else ""
     return (
-        f"expected a filter that follows its measurements; it is {Status(status).name} at time {time:g}{by}"
+        f"expected a filter that follows its measurements; received {Status(status).name} at time "
+        f"{time:g}{by}"
     )

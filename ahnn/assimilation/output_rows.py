@@ -208,7 +208,7 @@ class Output:
         if line is not None and (found := self._cut_back(rows, line, tail)):
             self.close()
             message = (
-                f"output: expected {path} with {size} unchanged bytes, then rows of later lines; received "
+                f"output: expected {path} with {size} unchanged bytes, then rows for later lines; received "
                 f"{found}. Start over with a new state and output"
             )
             raise UserError(message)

@@ -29,9 +29,9 @@ Watcher = Callable[[int, Reading, Estimate, Counter[str]], None]
 """Callback for every measurement line: line number, reading, estimate, and counts so far."""
 
 WORDS = {
-    "late": "is later than the window allows, at {now}: ignored",
+    "late": "arrived too late, after {now} (window=): ignored",
     "repeated": "was already processed: ignored",
-    "ahead": "is further ahead than the largest gap allowed, from {now}: ignored",
+    "ahead": "is too far ahead of {now} (gap=): ignored",
 }
 
 
@@ -136,7 +136,7 @@ class Session(StreamSession):
             log.info("line %d: %s; skipped", number, error)
             return
         except Diverged as error:
-            message = f"line {number}: {error}. Start over with a different start, or with more noise"
+            message = f"line {number}: {error}. Start over with a different start, or with larger noise"
             raise TrainingError(message) from error
         for reading, estimate in zip(readings, estimates, strict=False):
             number = lines.popleft().number
@@ -156,7 +156,7 @@ class Session(StreamSession):
             self.numbers += int(estimate.innovation.measured)
             return
         self.disordered += estimate.outcome == "late" and reading.time > self.filter.begun["time"]
-        label = self._said(reading.time) + (f" of sensor {reading.sensor}" if reading.sensor else "")
+        label = self._said(reading.time) + (f" from sensor {reading.sensor}" if reading.sensor else "")
         if estimate.innovation is None:
             word = WORDS[estimate.outcome].format(now=self._said(estimate.time))
             log.info("line %d: %s %s", number, label, word)
@@ -176,7 +176,7 @@ class Session(StreamSession):
         if self.undated and abs(time - self.filter.window.time) > FAR * self.filter.process.max_step:
             message = (
                 "start: no time is stated; %g is assumed, but the first measurement is at %g. Set time= to "
-                "the time of the start"
+                "the time of the initial state"
             )
             log.warning(message, self.filter.window.time, time)
         self.undated = False

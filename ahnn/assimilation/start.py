@@ -56,7 +56,7 @@ def belief_of(
     """
     if len(found.states) != 1 and not many:
         names = ", ".join(found.names[:5]) + (", .." if len(found.names) > 5 else "")
-        remedy = "Keep one of them, or set the column with the object names, objects=COLUMN"
+        remedy = "Keep one of them, or name the column with the object names: objects=COLUMN"
         message = f"start: expected one state; received {len(found.states)}: {names}. {remedy}"
         raise UserError(message)
     covariance = found.covariances
@@ -122,7 +122,8 @@ def dated(text: str, clock: StreamClock) -> float:
     """
     if clock.zero is None:
         message = (
-            f"time: expected a date together with epoch= of time zero; received {text} without it. Add epoch="
+            f"time: expected a date together with epoch=, the epoch of time zero; received {text} alone. Add "
+            "epoch="
         )
         raise UserError(message)
     try:

@@ -44,15 +44,14 @@ class StreamClock(NamedTuple):
                 start = spelled(self.zero or 0, utc=self.system == "UTC")
                 message = (
                     f"measurements: expected epochs, since the start has an epoch, {start}; received time "
-                    f"{cell}. Add epoch= (of time zero), or time= (of the start)"
+                    f"{cell}. Add epoch= (for time zero), or time= (for the start)"
                 )
                 raise UserError(message)
             return time
         if self.zero is None:
             message = (
                 "epoch: expected the epoch of time zero, since the measurements have epochs, such as "
-                f"{cell[:40]}; "
-                "received none. Add epoch="
+                f"{cell[:40]}; received none. Add epoch="
             )
             raise UserError(message)
         system = self.cells or self.system
@@ -94,7 +93,7 @@ class StreamClock(NamedTuple):
             return self._replace(scale=factor(text, self.unit))
         except ValueError as error:
             message = (
-                f"measurements: expected times in {self.unit}, another unit of time or epochs of "
+                f"measurements: expected times in {self.unit}, in another unit of time, or as epochs in "
                 f"{self.system}; received {text}. Convert them, or set time_system"
             )
             raise UserError(message) from error

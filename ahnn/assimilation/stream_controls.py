@@ -17,7 +17,7 @@ Held = tuple[float | None, ...]
 """The m controls valid at a time; None for one not yet supplied by a reading."""
 
 
-NONE = "none, since no force of the model depends on controls"
+NONE = "none, since no force in the model depends on controls"
 
 
 class StreamControls(NamedTuple):
@@ -70,7 +70,7 @@ class StreamControls(NamedTuple):
             raise UserError(message)
         fits = len(given) == self.size and all(u is None or abs(u) <= LARGEST for u in given)
         if not fits:
-            each = f"{self.size} finite numbers up to {LARGEST:g}, None for an unchanged one"
+            each = f"{self.size} finite numbers up to {LARGEST:g}, or None for an unchanged one"
             expected = each if self.size else NONE
             message = f"controls: expected {expected}; received {given}"
             raise UserError(message)

@@ -97,7 +97,7 @@ def deviations(record: AssimilationRecord, space: Space) -> Figure:
         axes.plot(time, np.sqrt(part.sum(1)), **(style.MODEL | {"lw": 1.2}))
         axes.set_ylabel(f"σ of {headed(space, name)}")
         style.logarithmic(axes, 0)
-    panels[0].set_title(f"{space.name}: standard deviations of the filter")
+    panels[0].set_title(f"{space.name}: filter standard deviations")
     panels[-1].set_xlabel(f"time [{unit}]")
     return figure
 

@@ -17,12 +17,12 @@ MANY = 0.05
 REMEDIES = {
     "none": "Add lines",
     "bad": "The lines above state the faults",
-    "late": "They precede the start: set its time= and epoch= of time zero, or window=",
-    "ahead": "They are too long after the start: set its time= and epoch= of time zero, or gap=",
-    "rejected": "Set start= and start_sd=, its time= and epoch= of time zero, or gate=",
+    "late": "They precede the start: set its time (time=, and epoch= for time zero), or window=",
+    "ahead": "They are too long after the start: set its time (time=, and epoch= for time zero), or gap=",
+    "rejected": "Set start= and start_sd=, the time of the start (time=, and epoch= for time zero), or gate=",
     "repeated": "They were already processed: leave state= out, or start over with a new one",
     "lost": "Their filters have failed: set start= and start_sd=, or gate=",
-    "unknown": "Their objects have no start: give a table of them, start=FILE, or one start for all, "
+    "unknown": "Their objects have no start: give a table of starts, start=FILE, or one start for all, "
     "start=[..]",
     "fitted": "The start uses all of them: set fitted=N to use fewer",
     "predicted": "Their values are missing: fill the columns of the sensor, or set measurement=",

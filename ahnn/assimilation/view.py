@@ -93,7 +93,9 @@ class View:
             return "no innovation yet"
         mean, degrees = (sum(values) / len(self.recent) for values in zip(*self.recent, strict=True))
         low, high = band(degrees, len(self.recent))
-        return f"NIS {mean:.3g} of the last {len(self.recent)}, 95 % band {low:.3g} to {high:.3g}"
+        return (
+            f"mean NIS of the last {len(self.recent)} readings {mean:.3g}, 95 % band {low:.3g} to {high:.3g}"
+        )
 
     def _deviations(self, estimate: Estimate) -> list[float]:
         return estimate.covariance.diagonal().clamp(min=0.0).sqrt().tolist()

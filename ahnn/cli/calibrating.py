@@ -43,7 +43,7 @@ class CalibrationRequest:
     fitted: Annotated[float, Within(0, 1)] = 0.5
     jobs: Count = 1
     output: str = "runs/calibration"
-    only: list[Count] | None = None  # only these draws, counted from 1; the command starts itself with it
+    only: list[Count] | None = None  # only these draws, counted from 1: set for worker processes
 
 
 class CalibrationDraw(NamedTuple):
@@ -108,7 +108,7 @@ def constants_of(overrides: list[str], spread: float, number: int) -> list[str]:
     if source.truth is None or build_sensor(cfg, source) is None:
         message = (
             "calibrate: expected simulated measurements of a system; received exact states or files. Add "
-            "sensor= or data.noise=, such as experiment=spring_noisy"
+            "sensor= or data.noise=, or choose an experiment with noise, such as experiment=spring_noisy"
         )
         raise UserError(message)
     drawn = random.Random(number)
@@ -155,7 +155,7 @@ def one(draw: CalibrationDraw, overrides: list[str], asked: CalibrationRequest) 
 
         train_once(cfg, None, texts, evaluation)
         if "forecast" not in found:
-            message = "calibrate: expected bands and forecasts; the training explains no trajectory"
+            message = "calibrate: expected bands and forecasts; received none: the model fits no trajectory"
             raise TrainingError(message)
         write_atomically(place / SCORE, json.dumps(found).encode())
         seconds = time.process_time() - begun

@@ -251,9 +251,9 @@ def check_recipe(cfg: DictConfig, overrides: Iterable[str]) -> None:
     elif noise is not None and not any(text.startswith(NAMES_A_RECIPE) for text in overrides):
         message = (
             "data.noise: expected a recipe for noisy measurements; received noise with a recipe for exact "
-            "samples. Use recipe=measurements, recipe=noisy_states for dense samples of states, "
-            "recipe=dense_states for dense samples of orbits, or an option of sensor (sensor=recorded "
-            "for files), which selects a recipe"
+            "samples. Use recipe=measurements, recipe=noisy_states for densely sampled states, "
+            "recipe=dense_states for densely sampled orbits, or a sensor option (sensor=recorded for "
+            "files), which selects a recipe"
         )
         raise UserError(message)
 
@@ -271,7 +271,7 @@ def check_potential(cfg: DictConfig, overrides: Iterable[str]) -> None:
     named = any(text.startswith(NAMES_A_RECIPE) for text in overrides)
     if meant and isinstance(stages[0][0], int) and not begun and not named:
         message = (
-            "recipe: expected a recipe that learns a full potential from positions of orbits; received none, "
+            "recipe: expected a recipe that learns a full potential from orbital positions; received none, "
             "and the sensor's default recipe does not find the orbits. Use recipe=noisy_positions, or "
             "hamiltonian=central_body if the central body is known"
         )

@@ -47,7 +47,7 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
     own = named_folder(args.overrides)
     is_new = own is None or not own.exists()
     above = [path for path in (own or Path("runs", "day")).absolute().parents if not path.exists()]
-    if not is_new:  # may belong to others: Hydra must not write to it before our check
+    if not is_new:  # the folder may belong to others: Hydra must not write there before our check
         sys.argv.append("hydra.output_subdir=null")
 
     @functools.wraps(task)

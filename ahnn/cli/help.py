@@ -41,7 +41,7 @@ well; the command line takes precedence.
   -m                    several jobs: all combinations of KEY=A,B, or a sweep=
   --config-dir DIR      your own options: DIR/system/mine.yaml
   -sc install=bash      completion: eval "$(ahnn-train -sc install=bash)"
-  --hydra-help          further options of Hydra
+  --hydra-help          further Hydra options
 """
 COMPLETION = """\
 _ahnn_train() {

@@ -89,7 +89,8 @@ def filter_of(overrides: list[str], gate: AskedGate) -> tuple[RecursiveEstimator
         noise = (0.0, 0.0)
     if not isinstance(noise, tuple | list):
         message = (
-            f"process_noise: expected [POSITION,VELOCITY], km and km/s added per minute; received {noise}"
+            "process_noise: expected [POSITION,VELOCITY], the standard deviations added per minute in km and "
+            f"km/s; received {noise}"
         )
         raise UserError(message)
     return with_gate(filters[0].estimator, filters[0], gate), (noise[0], noise[1])

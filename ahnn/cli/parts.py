@@ -84,7 +84,7 @@ def build_recorded(options: dict[str, Any], source: Recordings | Observed) -> Re
     drawn = [f"data.{name}={value}" for name, value in options.items() if value not in (None, SENSOR[name])]
     if drawn or not (measured is None or isinstance(measured, str)):
         message = (
-            "data: expected only measured=state or position, since nothing is added to recorded "
+            "data: expected only measured=state or measured=position, since nothing is added to recorded "
             f"measurements; received {', '.join(drawn) or 'data.measured=' + str(measured)}"
         )
         raise UserError(message)

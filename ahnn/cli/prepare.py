@@ -154,8 +154,8 @@ def build_trainer(made: Factories, folder: Path) -> Trainer:
     own = environment is not None and environment.creates_processes_externally
     if trainer.world_size > 1 and is_multirun() and not own:
         message = (
-            "trainer: expected one device, or a process for each job of the sweep; received "
-            f"{trainer.world_size} devices inside the process of the sweep. Add hydra/launcher=ahnn_process"
+            "trainer: expected one device, or a separate process for each sweep job; received "
+            f"{trainer.world_size} devices inside the sweep process. Add hydra/launcher=ahnn_process"
         )
         raise UserError(message)
     return trainer

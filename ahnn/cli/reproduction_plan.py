@@ -76,7 +76,7 @@ def plan(arguments: list[str], usage: str) -> Plan:
     own = [f"sweep=reproduce_{values['budget']}", f"run='{folder}'"]
     overrides = [*(text for key, text in given.items() if key not in ("budget", "run")), *own]
     jobs = compose_sweep(overrides)
-    if all(cfg.data.windows_per_epoch is None for cfg in jobs):  # there are fewer longer windows
+    if all(cfg.data.windows_per_epoch is None for cfg in jobs):  # long windows are fewer
         overrides.append(f"data.windows_per_epoch={min(map(windows, jobs))}")
         jobs = compose_sweep(overrides)
     steps = sorted({steps_of(cfg) for cfg in jobs})

@@ -76,7 +76,7 @@ def check_settings(cfg: DictConfig) -> None:
     """
     schemas = {"": CommonSettings, "data": Splits, "evaluation": Evaluation, "trainer": Training}
     own = [name for name, key in signature(CommonSettings).parameters.items() if key.default is key.empty]
-    if missing := [name for name in (*own, *schemas) if name and name not in cfg]:  # others need these
+    if missing := [name for name in (*own, *schemas) if name and name not in cfg]:  # prerequisites
         message = f"configuration: expected key {missing[0]!r}; received none"
         raise UserError(message)
     values = plain_config(cfg)
@@ -101,10 +101,10 @@ def require_alone(values: dict[str, Any]) -> None:
     """Raise UserError for members of an ensemble together with settings that contradict them."""
     if values.get("members") is None:
         return
-    same = "initial weights of their own, without which they would differ in the order of batches only"
+    same = "members differ in their initial weights"
     for key, expected in (
-        ("seeds", "null, since members have the seeds from seed= on"),
-        ("weights", f"null: {same}"),
+        ("seeds", "null, since members use seed, seed + 1, ..."),
+        ("weights", f"null, since {same}"),
     ):
         if values.get(key) is not None:
             message = f"{key}: expected {expected}; received {values[key]} with members={values['members']}"

@@ -282,7 +282,7 @@ def turn_stations(nodes: Any, reference: Reference) -> None:
                 found["earth_angle"] = earth_axes(reference)
             elif known(reference.frame) and not isinstance(found.earth_angle, ListConfig):
                 said = (
-                    "%s.earth_angle: turns the Earth about the z axis of %s, without precession and nutation"
+                    "%s.earth_angle turns the Earth about the z axis of %s, without precession and nutation"
                 )
                 log.warning(said + ". Leave it out", key, reference.frame)
 

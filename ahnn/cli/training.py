@@ -36,7 +36,7 @@ def train(cfg: DictConfig) -> float:
         require_new(Path(part.folder), part.ckpt)
     losses = [train_once(part) for part in parts]
     from ahnn.cli.parts import is_multirun
-    from ahnn.jobs.closing import require_converged  # imported late, like the code of the training
+    from ahnn.jobs.closing import require_converged  # imported late, like the training code
 
     if not is_multirun():  # in a sweep the table shows each job, and a search uses the losses
         require_converged([Path(part.folder) for part in parts])

@@ -131,7 +131,7 @@ def unread_of_plugins(nodes: DictConfig) -> Unread:
     for name, options in of_plugins(nodes):
         yield from unless(
             (f"plugins.{name}.patience", options.get("gate", 0) is not None, "gate=null rejects nothing"),
-            (f"plugins.{name}.cadence", options.get("times") is None, "times sets the times of measurements"),
+            (f"plugins.{name}.cadence", options.get("times") is None, "times sets the measurement times"),
         )
 
 
@@ -150,7 +150,8 @@ def unread_online(nodes: DictConfig, *, covariance: bool, named: bool = False) -
     for name, options in of_plugins(nodes):
         yield from ((f"plugins.{name}.{key}", "a stream is only filtered") for key in EVALUATED)
         yield from (
-            (f"plugins.{name}.{key}", f"the sensors of a stream define it: measurement.{key}") for key in BIAS
+            (f"plugins.{name}.{key}", f"the sensors of a stream define it (measurement.{key})")
+            for key in BIAS
         )
         if not _is_fitted(options.get("process_noise"), covariance=covariance):
             yield from ((f"plugins.{name}.{key}", "no process noise is fitted to data") for key in SIMULATED)

@@ -71,8 +71,8 @@ def longest_of(system: System, steps: Tensor) -> int:
     """Return the longest of durations (B,); raises UserError for invalid durations."""
     if int(steps.min()) < 1:
         message = (
-            f"system {system.name}: expected trajectories of at least one step; received durations that are "
-            f"zero or infinite, {int((steps < 1).sum())} of {len(steps)}. Change its parameters"
+            f"system {system.name}: expected trajectories of at least one step; received zero or infinite "
+            f"durations for {int((steps < 1).sum())} of {len(steps)}. Change its parameters"
         )
         raise UserError(message)
     return int(steps.max())
@@ -90,8 +90,8 @@ def require_finite(system: System, states: Tensor, ends: Tensor, before: int) ->
     b, k = (int(n) for n in wrong.nonzero()[0])
     lost = f"{int(wrong.any(-1).sum())} of {len(states)} trajectories"
     message = (
-        f"system {system.name}: expected finite states; {lost} diverge, trajectory {before + b} after {k} "
-        f"steps of dt={system.dt}: received {states[b, k].tolist()}. Shorten system.dt or narrow the ranges "
-        "of the initial states"
+        f"system {system.name}: expected finite states; received {states[b, k].tolist()} in trajectory "
+        f"{before + b} after {k} steps of dt={system.dt}; {lost} diverge. Shorten system.dt or narrow the "
+        "ranges of the initial states"
     )
     raise UserError(message)

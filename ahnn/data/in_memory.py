@@ -63,8 +63,9 @@ def check_trajectories(given: Trajectories, space: Space) -> Trajectories:
     size = len(space.components)
     if states.ndim != 3 or states.shape[-1] not in (size, space.dof) or min(states.shape) < 1:
         message = (
-            f"states: expected shape (trajectories, samples, {size}) of {', '.join(space.components)}; "
-            f"received {tuple(states.shape)}. Without velocities there are {space.dof} columns"
+            f"states: expected shape (trajectories, samples, {size}), the components "
+            f"{', '.join(space.components)}; received {tuple(states.shape)}. Without velocities there are "
+            f"{space.dof} columns"
         )
         raise UserError(message)
     if times.shape not in (states.shape[:2], states.shape[1:2]):

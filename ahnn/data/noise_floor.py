@@ -159,7 +159,7 @@ def remark_on(
         suspicious = (floor > SHARE * typical) & (typical > 0)
         advice = (
             "which this loss would learn. Declare it: sensor=... (sensor=recorded for files), or "
-            "data.noise=... with recipe=measurements (recipe=noisy_states for dense samples of states)"
+            "data.noise=... with recipe=measurements (recipe=noisy_states for densely sampled states)"
         )
     else:
         coloured = is_coloured(samples, times, floor)
@@ -174,7 +174,7 @@ def remark_on(
     if not found:
         return None
     rare = "unless they are too sparse to tell"
-    return f"the samples seem to have noise of {found} (standard deviations), {rare}; {advice}"
+    return f"the samples seem to be noisy, with standard deviations of {found}, {rare}; {advice}"
 
 
 def looked_at(samples: Tensor, times: Tensor) -> tuple[Tensor, Tensor]:

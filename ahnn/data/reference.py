@@ -62,7 +62,7 @@ class Reference(NamedTuple):
         if self.epoch is None or "" in (clock, self.clock) or clock == self.clock:
             return self._replace(clock=clock or self.clock)
         if not {clock, self.clock} <= TO_TT.keys():
-            message = f"time system: expected {self.clock}, or two of {', '.join(TO_TT)}; received {clock}"
+            message = f"time system: expected {self.clock}, or both of {', '.join(TO_TT)}; received {clock}"
             raise UserError(message)
         shift = round((TO_TT[self.clock] - TO_TT[clock]) * SECOND)
         return self._replace(clock=clock, epoch=self.epoch + shift)
@@ -137,7 +137,7 @@ class Reference(NamedTuple):
             return wanted
         if wanted or given.startswith(ROTATING):
             expected = f"frame {ours.frame}, as in the model" if wanted else "an inertial frame"
-            remedy = "Convert it" if wanted else "Set frame= to the frame of the model: GCRF, EME2000"
+            remedy = "Convert it" if wanted else "Set frame= to the frame of the model, such as GCRF"
             message = f"{who}: expected {expected}; received {self.frame}. {remedy}"
             raise UserError(message)
         return None

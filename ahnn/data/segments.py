@@ -40,7 +40,7 @@ class Segments:
             message = (
                 f"data: expected trajectories with at least {DEGREE + 1} of {FIRST} consecutive "
                 f"measurements, which determine an initial state; received {rows} trajectories of {samples} "
-                "times, none of which has them. Measure more often"
+                "times each, none of which has them. Measure more often"
             )
             raise UserError(message)
         last = (times.isfinite() * torch.arange(samples)).amax(1, keepdim=True)

@@ -131,7 +131,7 @@ class Sensor:
         draw: dict[str, Any] = {"generator": generator, "dtype": torch.float64}
         values = values + torch.randn(values.shape, **draw) * self.deviations * self._stretch(values, part)
         if self.unknown.bias_sd is not None:
-            own = torch.Generator().manual_seed(self.seed)  # the same bias in all parts of the data
+            own = torch.Generator().manual_seed(self.seed)  # the same bias in all splits
             shape = self.unknown.bias_sd.shape
             values = values + self.unknown.bias_sd * torch.randn(shape, generator=own, dtype=torch.float64)
         off = torch.rand(values.shape, **draw) < self.outliers

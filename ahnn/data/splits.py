@@ -70,8 +70,8 @@ class SplitData:
         if known["recipe"] != recipe:
             if "files" in recipe and recipe["files"] == known["recipe"].get("files"):
                 message = (
-                    f"system: expected the files of the training and their settings, {known['recipe']}; "
-                    f"received {recipe}, whose test trajectories may be part of the training"
+                    f"system: expected the training files with their settings, {known['recipe']}; "
+                    f"received {recipe}, whose test trajectories may be part of the training data"
                 )
                 raise UserError(message)
             return self._others("files" in recipe and "files" in known["recipe"], seen)
@@ -82,7 +82,7 @@ class SplitData:
         if (part := then[0] + then[1] - now[0] - now[1]) > 0:
             message = (
                 "split: expected test trajectories not used in training; received "
-                f"{self.fractions}: {part} of {now[2]} were used. Keep the split of the run, "
+                f"{self.fractions}, and {part} of {now[2]} were used. Keep the split of the run, "
                 f"{known['split']}, or use another seed"
             )
             raise UserError(message)
@@ -161,9 +161,8 @@ def split_sizes(count: int, fractions: list[float]) -> list[int]:
         named = ", ".join(f"{name} {size}" for name, size in zip(SPLITS, sizes, strict=True))
         message = (
             f"split: expected at least one trajectory in each part; received {count} trajectories with "
-            "fractions "
-            f"{fractions}, which makes {named}. Use more trajectories, or cut trajectories of files with "
-            "system.cut"
+            f"fractions {fractions}, that is, {named}. Use more trajectories, or cut trajectories of files "
+            "with system.cut"
         )
         raise UserError(message)
     return sizes

@@ -93,7 +93,7 @@ def starts(
     if sd is None:
         return found
     if found.covariances is not None:
-        log.warning("start_sd: replaces the covariance of %s", path)
+        log.warning("start_sd replaces the covariance in %s", path)
     covariance = state_deviations(sd, space, "start_sd").square().diag()
     return found._replace(covariances=covariance.expand(len(found.states), -1, -1))
 
@@ -124,7 +124,7 @@ def of_numbers(given: Any, space: Space) -> Starts:
         raise UserError(str(error)) from error
     if states.ndim not in (1, 2) or states.shape[-1] != size or not states.numel():
         known = ", ".join(_with_units(space))
-        message = f"start: expected one state or several of [{known}]; received shape {tuple(states.shape)}"
+        message = f"start: expected one or more states [{known}]; received shape {tuple(states.shape)}"
         raise UserError(message)
     states = torch.atleast_2d(states)
     require_finite(states)
@@ -266,7 +266,7 @@ def factor(theirs: str, ours: str, path: Path) -> float:
     try:
         return 1.0 if theirs == "1" else units.factor(theirs, ours)
     except ValueError as error:
-        message = f"start {path}: expected values in {ours} or a compatible unit; received {theirs}"
+        message = f"start {path}: expected values in {ours} or in a compatible unit; received {theirs}"
         raise UserError(message) from error
 
 

@@ -46,7 +46,7 @@ class Dynamics(nn.Module, ABC):
 
     def require(self, dt: TimeStep) -> None:
         """Raise UserError for a step other than the fixed step of a map."""
-        if not torch.compiler.is_exporting() and (step := self.own_step) is not None:  # a graph has one step
+        if not torch.compiler.is_exporting() and (step := self.own_step) is not None:  # graphs have one step
             require_step(step, dt)
 
     @abstractmethod
@@ -73,7 +73,7 @@ class Dynamics(nn.Module, ABC):
         if not isinstance(x, Tensor) or (dof and x.shape[-1:] not in allowed):
             components = f"{2 * (dof + self.clock)} components" if dof else "states"
             message = (
-                f"dynamics: expected a tensor of {components} along the last axis; received {described(x)}"
+                f"dynamics: expected a tensor with {components} along its last axis; received {described(x)}"
             )
             raise UserError(message)
         return x + self.increment(x, dt)
@@ -117,7 +117,7 @@ def require_step(step: float, dt: TimeStep) -> None:
     if not off <= 1e-6 * step:
         received = "steps that differ" if isinstance(dt, Tensor) else f"{dt:.6g}"
         message = (
-            f"model: expected the step of its training, {step:.6g}; received {received}. A map has no time "
+            f"model: expected the step used in training, {step:.6g}; received {received}. A map has no time "
             "axis: use node, hnn or ahnn for other steps"
         )
         raise UserError(message)

@@ -141,8 +141,7 @@ class NetworkEnergy(nn.Module):
     def write_rows(self, theta: Tensor, q: Tensor, factors: Tensor, out: Tensor) -> None:
         """Write factors (B, n) times d(dE/dq)/dtheta to `out`, (B, n, P), theta (P,) its parameters."""
         z, pullback = self.inputs.linearised(q)
-        # dE/dq is linear in the gradient of the network: row i of each sample is a cotangent of that
-        # gradient.
+        # dE/dq is linear in the network gradient: row i of each sample is a cotangent of that gradient.
         linear = slopes(z, pullback).mT
         factors, on_value = factors * self.unit, None
         if self.falloff:
@@ -232,8 +231,7 @@ class CentralBody(nn.Module):
         q, rate = statistics.positions, statistics.forces
         attraction = -self.mass * q / q.norm(dim=-1, keepdim=True) ** 3
         if self.known_mu is None:
-            # The median is robust: at low altitude forces are large, and estimates from noisy samples are
-            # wrong.
+            # The median is robust: noisy samples at low altitude give large, wrong forces.
             mu = ((attraction * rate).sum(-1) / attraction.square().sum(-1)).median()
             if not mu > 0:
                 message = (

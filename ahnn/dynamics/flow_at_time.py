@@ -148,9 +148,7 @@ def steered(flow: Flow, times: Numbers, controls: Numbers, *, linear: bool = Fal
     known = finite and moments.ndim == 1 and bool((moments.diff() > 0).all())
     if size < 1 or given.ndim not in (2, 3) or given.shape[-2:] != shape or not known:
         expected = (
-            f"finite times (T,) that increase and controls (T, {size})"
-            if size > 0
-            else "a flow with controls"
+            f"finite, increasing times (T,) and controls (T, {size})" if size > 0 else "a flow with controls"
         )
         message = f"steered: expected {expected}; received {tuple(moments.shape)} and {tuple(given.shape)}"
         raise UserError(message)

@@ -1,4 +1,4 @@
-/* Vectors of double, or of float where SINGLE is defined, and activations of all their lanes at once. */
+/* Vectors of double, or of float if SINGLE is defined, and activations of all lanes of a vector at once. */
 
 #define INLINE static inline __attribute__((always_inline))
 #if defined(__AVX512F__)
@@ -22,9 +22,9 @@ typedef real lanes __attribute__((vector_size(BYTES), may_alias));
 typedef integer bits __attribute__((vector_size(BYTES), may_alias));
 
 /* A tail 1 - Phi(t) of the normal distribution is exp(-t^2 / 2) P(q) / (t + SHIFT), with q = (t - SHIFT) /
-   (t + SHIFT) (Shepherd & Laframboise 1981, Math. Comp. 36, 249). P is a Chebyshev series, summed by powers; its
-   remainder is 3e-17 of its largest term in double, 1.3e-8 of itself in float. Beyond FAR numbers are denormal,
-   and slow. */
+   (t + SHIFT) (Shepherd & Laframboise 1981, Math. Comp. 36, 249). P is a Chebyshev series, evaluated in powers of
+   q; it is truncated at 3e-17 of its largest term in double, and at a relative error of 1.3e-8 in float. Beyond
+   FAR the result would be denormal, which is slow. */
 #ifdef SINGLE
 enum { EXP_TERMS = 8, TAIL_TERMS = 10, MANTISSA = 23 };
 #define ROUND 12582912.0f /* 1.5 2^23 */
@@ -61,7 +61,7 @@ static const real TAIL[] = {
 
 enum { GELU, TANH, SILU };
 
-/* An activation sigma at z: its value, sigma' and sigma''. */
+/* The value of an activation sigma at z, with sigma' and sigma''. */
 typedef struct {
     lanes value, slope, bend;
 } point;
@@ -76,8 +76,8 @@ INLINE lanes polynomial(const real *powers, long terms, lanes x) {
     return sum;
 }
 
-/* exp(x) for x <= 0: the Taylor series of the remainder from the nearest multiple of log 2 (log 2 in two parts,
-   Cody & Waite 1980). Below LEAST it is exp(LEAST) in place of a denormal number. */
+/* exp(x) for x <= 0: the nearest multiple of log 2 is subtracted (log 2 in two parts, Cody & Waite 1980), and
+   the remainder enters a Taylor series. Below LEAST the result is exp(LEAST) instead of a denormal number. */
 INLINE lanes exponential(lanes x) {
     const lanes least = (lanes){} + (real)LEAST, round = (lanes){} + (real)ROUND;
     x = pick(x < least, least, x);
@@ -99,7 +99,7 @@ INLINE point gelu(lanes z) {
     return (point){z * cumulative, cumulative + z * density, density * ((real)2.0 - t * t)};
 }
 
-/* Of both that follow, the exponential of -|z| keeps what is small far out. */
+/* In tanh_ and silu, exponentials of negative arguments keep the precision of small values at large |z|. */
 INLINE point tanh_(lanes z) {
     const lanes zero = {};
     lanes e = exponential(pick(z < zero, (real)2.0 * z, (real)-2.0 * z));

@@ -1,6 +1,6 @@
-/* Steps of learned Hamiltonians in double: the formulas are those of energies.py, inputs.py, explicit.py and
-   symplectic.py, which are the reference. MEMBERS states go side by side: an array of n numbers of theirs is n
-   rows of MEMBERS. Matrices have whole tiles of rows, filled up with zeros. */
+/* Steps along learned Hamiltonians in double: the formulas are those of energies.py, inputs.py, explicit.py and
+   symplectic.py, which are the reference. MEMBERS states are processed side by side: an array with n numbers for
+   each state has n rows of MEMBERS. Matrices are padded with zeros to a multiple of ROWS rows. */
 
 #include <math.h>
 #include <stdlib.h>
@@ -16,16 +16,17 @@ enum { DONE, NO_MEMORY };
 #define ROW(array, i) ((array) + (i) * MEMBERS)
 #define MEMBER(m) for (long m = 0; m < MEMBERS; m++)
 
-/* unit (R / r)^falloff N(z), z the mapped coordinates, and as they are `straight` others; R is `nearest`. */
+/* unit (R / r)^falloff N(z), where R is `nearest` and z contains the mapped coordinates, and `straight` others that
+   are only shifted and scaled. */
 typedef struct {
     long map, mapped, straight, inputs, width, depth, activation;
     const real *up, *down, *bias, *last, *shift, *scale;
     real offset, unit, falloff, nearest, middle, spread;
 } energy;
 
-/* A Hamiltonian and its integrator: `whole`, or else kinetic and potential energies, of which that without a
-   network is p^2 / 2 mass, and the potential has -central / r besides. The table has the rows of the stages of a
-   Runge-Kutta method, then its weights; or, where `kicks` counts any, drifts, then kicks of a composition. */
+/* A Hamiltonian and its integrator. The Hamiltonian is `whole`, or else the sum of a kinetic energy, p^2 / 2 mass if
+   it has no network, and a potential energy, to which -central / r is added. The table contains the stages of a
+   Runge-Kutta method, then its weights; or, if `kicks` > 0, the drifts of a composition, then its kicks. */
 typedef struct {
     long dof, stages, kicks;
     const energy *whole, *kinetic, *potential;
@@ -33,7 +34,7 @@ typedef struct {
     real central;
 } motion;
 
-/* Room for the layers of a network. */
+/* Memory for the layers of a network. */
 typedef struct {
     real *z, *values, *slopes, *delta, *u, *g;
 } layers;
@@ -42,7 +43,7 @@ static const real NOTHING[MEMBERS] __attribute__((aligned(64))) = {0};
 
 INLINE long rows_of(const energy *of) { return filled(of->width, ROWS); }
 
-/* N(z) to `value`, and dN/dz to the rows of `g`. */
+/* Write N(z) to `value`, and dN/dz to the rows of `g`. */
 static void network(const energy *of, const layers *at, real *value) {
     long rows = rows_of(of), block = rows * MEMBERS, inputs = of->inputs;
     const real *entered = at->z, *up = of->up;
@@ -70,13 +71,14 @@ static void network(const energy *of, const layers *at, real *value) {
     product(down, of->width, 1, at->delta, MEMBERS, filled(of->inputs, ROWS), of->width, NOTHING, 0, at->g);
 }
 
-/* Sums of squares of n rows. */
+/* Sum the squares of n rows. */
 static void squares(const real *q, long n, real *square) {
     MEMBER(m) square[m] = 0;
     for (long i = 0; i < n; i++) MEMBER(m) square[m] += ROW(q, i)[m] * ROW(q, i)[m];
 }
 
-/* The gradient of an energy by its coordinates q; those that are not mapped affinely begin where `others` does. */
+/* Write the gradient of an energy with respect to the mapped coordinates q to `to`, and with respect to `others`, the
+   `straight` coordinates, to `to_others`. */
 static void gradient(const energy *of, const real *q, const real *others, const layers *at, real *to, real *to_others) {
     long n = of->mapped, first = of->inputs - of->straight;
     real square[MEMBERS], r[MEMBERS], value[MEMBERS], along[MEMBERS];
@@ -111,13 +113,13 @@ static void gradient(const energy *of, const real *q, const real *others, const 
     }
 }
 
-/* dq/dt of momenta. */
+/* dq/dt as a function of momenta. */
 static void velocity(const motion *of, const real *p, const layers *at, real *to) {
     if (of->kinetic) gradient(of->kinetic, p, NULL, at, to, NULL);
     else for (long i = 0; i < of->dof; i++) MEMBER(m) ROW(to, i)[m] = ROW(p, i)[m] / of->mass[i];
 }
 
-/* dp/dt at positions. */
+/* dp/dt as a function of positions. */
 static void force(const motion *of, const real *q, const layers *at, real *to) {
     real square[MEMBERS];
     gradient(of->potential, q, NULL, at, to, NULL);
@@ -128,7 +130,7 @@ static void force(const motion *of, const real *q, const layers *at, real *to) {
     }
 }
 
-/* dx/dt of states. */
+/* dx/dt as a function of states. */
 static void field(const motion *of, const real *x, const layers *at, real *to) {
     long half = of->dof * MEMBERS;
     if (!of->whole) {
@@ -140,7 +142,7 @@ static void field(const motion *of, const real *x, const layers *at, real *to) {
     EACH(i, half) AT(to + half, i) = -AT(to + half, i);
 }
 
-/* to = x + h sum_k weights[k] rows_k of `length`. */
+/* to = x + h sum_k weights[k] rows_k, where each of the rows has `length` numbers. */
 static void moved(const real *x, real h, const real *weights, long count, const real *rows, long length, real *to) {
     EACH(i, length) {
         lanes sum = {};
@@ -150,7 +152,7 @@ static void moved(const real *x, real h, const real *weights, long count, const 
     }
 }
 
-/* States after a step h of a Runge-Kutta method. */
+/* Write the states after a Runge-Kutta step h. */
 static void runge_kutta(const motion *of, real h, const layers *at, const real *x, real *here, real *slopes, real *out) {
     long length = 2 * of->dof * MEMBERS, count = of->stages;
     for (long k = 0; k < count; k++) {
@@ -160,7 +162,7 @@ static void runge_kutta(const motion *of, real h, const layers *at, const real *
     moved(x, h, of->table + count * count, count, slopes, length, out);
 }
 
-/* States after a step h of a composition of leapfrogs, drift first. */
+/* Write the states after a step h of a composition of leapfrogs that begins with a drift. */
 static void composition(const motion *of, real h, const layers *at, const real *x, real *here, real *slopes, real *out) {
     long half = of->dof * MEMBERS;
     const real *drifts = of->table, *kicks = drifts + of->kicks + 1, *p = x + half;
@@ -178,7 +180,7 @@ static void composition(const motion *of, real h, const layers *at, const real *
     EACH(i, 2 * half) AT(out, i) = AT(x, i) + AT(slopes, i);
 }
 
-/* Give room for the largest network of a motion. */
+/* Reserve memory for the largest network of a motion. */
 static layers laid(arena *from, const motion *of) {
     long rows = 0, inputs = 0, depth = 0;
     const energy *all[] = {of->whole, of->kinetic, of->potential};
@@ -194,13 +196,13 @@ static layers laid(arena *from, const motion *of) {
     return at;
 }
 
-/* The states (count, 2 dof) that follow from x after dt. */
+/* Write the states (count, 2 dof) at a time dt after the states x. */
 long ahnn_learned_flow(const motion *of, long count, const double *x, double dt, double *out) {
     long size = 2 * of->dof, length = size * MEMBERS;
     arena from = {NULL, 0};
     real *room[4];
     layers at;
-    for (int pass = 0; pass < 2; pass++) { /* first count, then give */
+    for (int pass = 0; pass < 2; pass++) { /* first count the memory, then allocate it */
         if (pass) from = (arena){aligned_alloc(64, filled((long)(sizeof(real) * from.used), 64)), 0};
         if (pass && !from.base) return NO_MEMORY;
         at = laid(&from, of);
@@ -208,7 +210,7 @@ long ahnn_learned_flow(const motion *of, long count, const double *x, double dt,
         room[3] = take(&from, (of->stages + 2) * length);
     }
     for (long first = 0; first < count; first += MEMBERS) {
-        for (long d = 0; d < size; d++) /* those that are left over repeat the last member */
+        for (long d = 0; d < size; d++) /* an incomplete block is filled with copies of the last state */
             MEMBER(m) ROW(room[0], d)[m] = x[size * (first + m < count ? first + m : count - 1) + d];
         if (of->kicks) composition(of, dt, &at, room[0], room[1], room[3], room[2]);
         else runge_kutta(of, dt, &at, room[0], room[1], room[3], room[2]);

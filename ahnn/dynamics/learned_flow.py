@@ -221,5 +221,5 @@ def _affine(positions: InputMap, straight: Cartesian | None, dof: int) -> tuple[
 
 
 def _tiled(matrix: Tensor) -> Tensor:
-    """Return a matrix with whole tiles of rows."""
+    """Return a matrix padded with rows of zeros to a whole number of tiles."""
     return pad(matrix, (0, 0, 0, -len(matrix) % ROWS))

@@ -39,7 +39,7 @@ class Perceptron(Network):
         for layer in self.hidden:
             assert isinstance(layer, nn.Linear)
             nn.init.normal_(layer.weight, std=layer.in_features**-0.5)
-            nn.init.uniform_(layer.bias, -1, 1)  # spread over the inputs: smooth units differ initially
+            nn.init.uniform_(layer.bias, -1, 1)  # spreads the units over the inputs
         nn.init.normal_(self.output.weight, std=0.1 * width**-0.5)
         nn.init.zeros_(self.output.bias)
 

@@ -135,7 +135,7 @@ def body_masses(dof: int, mass: float | Sequence[float], dimensions: int) -> lis
     """Return the mass of each body; raises UserError for coordinates that do not form bodies."""
     if dof % dimensions or dof < 2 * dimensions:
         message = (
-            f"hamiltonian pairs: expected {dimensions} coordinates for each of two bodies or more; received "
+            f"hamiltonian pairs: expected {dimensions} coordinates for each of two or more bodies; received "
             f"{dof}. model.dimensions sets the number per body"
         )
         raise UserError(message)

@@ -1,6 +1,6 @@
-/* Matrices in rows of whole vectors: their products, and their way in and out; see lanes.h. */
+/* Matrices with rows padded to whole vectors: products, packing and unpacking; for vectors see lanes.h. */
 
-/* Of a tile of a product: its sums fill the registers. */
+/* Rows and vectors in a tile of a product, whose sums fill the registers. */
 enum { ROWS = 4, ACROSS = BYTES == 64 ? 4 : 2 };
 
 #define AT(array, i) (*(lanes *)((array) + (i)))
@@ -8,7 +8,7 @@ enum { ROWS = 4, ACROSS = BYTES == 64 ? 4 : 2 };
 
 INLINE long filled(long count, long by) { return (count + by - 1) / by * by; }
 
-/* A tile of C = start + A B, for as many vectors across as the compiler is told. */
+/* Compute a tile of C = start + A B; `across`, its width in vectors, is a compile-time constant. */
 INLINE void tile(long across, const real *a, long row, long column, const real *b, long length, long inner,
                  const real *start, long start_row, real *c) {
     lanes sum[ROWS][ACROSS];
@@ -22,7 +22,8 @@ INLINE void tile(long across, const real *a, long row, long column, const real *
         for (long v = 0; v < across; v++) AT(c, r * length + v * LANES) = sum[r][v];
 }
 
-/* C = start + A B with A(r, k) at a[r row + k column]; rows of B and C are `length`, rows of A whole tiles. */
+/* Compute C = start + A B, with A(r, k) at a[r row + k column], rows of B and C of size `length`, and a number of
+   rows that is a multiple of ROWS. */
 static void product(const real *a, long row, long column, const real *b, long length, long rows, long inner,
                     const real *start, long start_row, real *c) {
     for (long j = 0; j < length;) {
@@ -37,20 +38,20 @@ static void product(const real *a, long row, long column, const real *b, long le
     }
 }
 
-/* Fill up a matrix (rows, columns), or its transpose, to rows of `length`; the room is zero before. */
+/* Copy a matrix (rows, columns), or its transpose, into rows of size `length`, which are zero before. */
 static void lay(const real *matrix, long rows, long columns, int turned, long length, real *to) {
     for (long r = 0; r < rows; r++)
         for (long c = 0; c < columns; c++, matrix++) to[turned ? c * length + r : r * length + c] = *matrix;
 }
 
-/* The reverse of `lay`, which returns where the next one begins. */
+/* Undo `lay`, and return the position of the next matrix. */
 static real *lift(const real *from, long rows, long columns, int turned, long length, real *matrix) {
     for (long r = 0; r < rows; r++)
         for (long c = 0; c < columns; c++, matrix++) *matrix = from[turned ? c * length + r : r * length + c];
     return matrix;
 }
 
-/* Memory that is given away piece by piece; without a base its pieces are only counted. */
+/* Memory that is handed out piece by piece; without a base, the pieces are only counted. */
 typedef struct {
     real *base;
     size_t used;

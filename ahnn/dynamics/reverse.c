@@ -1,10 +1,10 @@
-/* Increments of explicit Runge-Kutta steps along f = delta_1 E, the gradient of a perceptron that leaves by a
-   matrix E, and their reverse, in float, or in double where DOUBLE is defined: the formulas are those of
+/* Increments of explicit Runge-Kutta steps along f = delta_1 E, the gradient of a perceptron times a matrix E, and
+   their reverse-mode derivatives, in float, or in double if DOUBLE is defined: the formulas are those of
    gradients.py, which is the reference.
 
-   A block of members goes through all stages, and back, while its numbers stay in the cache. Rows are members
-   and lanes units: every product, those that sum over members too, then has vectors that lie side by side.
-   Rows of units are filled up with zeros to whole vectors, and whatever is made of them stays zero. */
+   A block of members passes through all stages, and back, while its numbers stay in the cache. Rows are members
+   and lanes are units, so that every product, including sums over members, loads contiguous vectors. Rows of units
+   are padded with zeros to whole vectors, and all results in the padding stay zero. */
 
 #include <stdlib.h>
 #include <string.h>
@@ -15,25 +15,25 @@
 #include "lanes.h"
 #include "products.h"
 
-/* Bytes of what a block has in use, and the fewest and most of its members. */
+/* Bytes used by a block, and the smallest and largest number of its members. */
 enum { NEAR = 1 << 18, FEWEST = 8, MOST = 64 };
 enum { DONE, NO_MEMORY };
 enum { ENTERED, SLOPE, DELTA, BEND, KEPT };
 
-/* A network, and how it is laid out: rows are `narrow` or `wide`, a matrix has room for `room` of them; matrices
-   as they stand on the right of a product. */
+/* A network and its memory layout: rows have `narrow` or `wide` numbers, and a matrix has space for `room` rows;
+   matrices are stored as right-hand factors of products. */
 typedef struct {
     long size, width, depth, activation, stages, narrow, wide, room, members;
     const real *tableau;
     real *nothing, *up, *bias, *down, *last, *leave, *enter;
 } network;
 
-/* Gradients with respect to a network, matrices as (inputs, units). */
+/* Gradients with respect to the parameters of a network; matrices have the shape (inputs, units). */
 typedef struct {
     real *weights, *bias, *last, *leave;
 } gradients;
 
-/* A stage of a block: its argument, f there, the gradient that comes back, and what its layers keep. */
+/* A stage of a block: its argument, f at this argument, the gradient passed back, and the stored layer values. */
 typedef struct {
     real *argument, *f, *pull, *layers;
 } stage;
@@ -42,18 +42,18 @@ typedef struct {
     real *x, *v, *on_f, *increment, *h, *spare[3], *stages;
 } block;
 
-/* to = from B, plus a bias where there is one, for each member. */
+/* to = from B for each member, plus a bias if there is one. */
 static void apply(const network *of, const real *from, long from_length, long inner, const real *matrix,
                   const real *bias, real *to, long to_length) {
     product(from, from_length, 1, matrix, to_length, of->members, inner, bias ? bias : of->nothing, 0, to);
 }
 
-/* sum += A^T B, over the members. */
+/* sum += A^T B, summed over members. */
 static void gather(const network *of, const real *a, long a_length, long rows, const real *b, real *sum) {
     product(a, 1, a_length, b, of->wide, filled(rows, ROWS), of->members, sum, of->wide, sum);
 }
 
-/* sum += rows, over the members. */
+/* sum += rows, summed over members. */
 static void gather_rows(const network *of, const real *rows, real *sum) {
     EACH(j, of->wide) {
         lanes total = AT(sum, j);
@@ -67,11 +67,11 @@ INLINE real *kept(const network *of, const stage *s, long k, long which) {
     return s->layers + (k * KEPT + which) * of->members * of->wide;
 }
 
-/* What enters layer k: the length of its rows, and how much of these is meant. */
+/* Inputs of layer k: the length of their rows, and the number of inputs without padding. */
 INLINE long length_of(const network *of, long k) { return k ? of->wide : of->narrow; }
 INLINE long inputs_of(const network *of, long k) { return k ? of->width : of->size; }
 
-/* f at the argument of a stage, and what its reverse needs. */
+/* Compute f at the argument of a stage, and store the values needed by `reverse`. */
 static void field(const network *of, const stage *s, real *const *spare) {
     long depth = of->depth, wide = of->wide, all = of->members * wide;
     real *z = spare[0], *u = spare[1];
@@ -98,7 +98,7 @@ static void field(const network *of, const stage *s, real *const *spare) {
     }
 }
 
-/* The reverse of a stage: v . df/dx to `pull`, and v . df/dparameters added to the gradients. */
+/* Write v . df/dx of a stage to `pull`, and add v . df/dparameters to the gradients. */
 static void reverse(const network *of, const stage *s, const real *v, real *const *spare,
                     const gradients *to) {
     long depth = of->depth, wide = of->wide, all = of->members * wide, matrix = of->room * wide;
@@ -127,7 +127,7 @@ static void reverse(const network *of, const stage *s, const real *v, real *cons
     }
 }
 
-/* Numbers of a stage. */
+/* Size of a stage, in numbers. */
 INLINE long apart(const network *of) {
     return of->members * (3 * of->narrow + of->depth * KEPT * of->wide);
 }
@@ -138,18 +138,18 @@ INLINE stage stage_of(const network *of, const block *b, long i) {
     return (stage){at, at + row, at + 2 * row, at + 3 * row};
 }
 
-/* to += sum_k weights[k step] rows_k, rows those of stages. */
+/* to += sum_k weights[k step] rows_k, where rows_k belongs to stage k. */
 static void add(const network *of, long count, const real *weights, long step, const real *rows, real *to) {
     for (long k = 0; k < count; k++, weights += step, rows += apart(of))
         if (*weights != 0) EACH(i, of->members * of->narrow) AT(to, i) += *weights * AT(rows, i);
 }
 
-/* Each row times the step of its member. */
+/* Multiply each row by the step of its member. */
 static void scale(const network *of, const real *h, real *rows) {
     for (long m = 0; m < of->members; m++) EACH(j, of->narrow) AT(rows, m * of->narrow + j) *= h[m];
 }
 
-/* The increment of a block: h f is what stages have as f. */
+/* Compute the increment of a block; the stages then contain h f in place of f. */
 static void follow(const network *of, const block *b) {
     long count = of->stages;
     size_t row = sizeof(real) * (size_t)(of->members * of->narrow);
@@ -165,7 +165,7 @@ static void follow(const network *of, const block *b) {
     add(of, count, of->tableau + count * count, 1, first, b->increment);
 }
 
-/* v . d(increment)/dx of a block that was followed, in place of the increment. */
+/* After `follow`, write v . d(increment)/dx of a block in place of the increment. */
 static void follow_back(const network *of, const block *b, const gradients *to) {
     long count = of->stages;
     size_t row = sizeof(real) * (size_t)(of->members * of->narrow);
@@ -182,7 +182,7 @@ static void follow_back(const network *of, const block *b, const gradients *to) 
     }
 }
 
-/* Give all but the stages their places. */
+/* Reserve memory for everything except the stages. */
 static void place(arena *from, network *of, gradients *to, block *b) {
     long wide = of->wide, narrow = of->narrow, depth = of->depth, matrix = of->room * wide;
     of->up = take(from, depth * matrix), of->down = take(from, depth * matrix);
@@ -196,7 +196,7 @@ static void place(arena *from, network *of, gradients *to, block *b) {
     for (long i = 0; i < 3; i++) b->spare[i] = take(from, layers);
 }
 
-/* Read the parameters: matrices and biases of the layers, the last row, E. */
+/* Read the parameters: the matrices of the layers, their biases, the last row, and E. */
 static void read(network *of, const real *const *given) {
     long matrix = of->room * of->wide;
     for (long k = 0; k < of->depth; k++) {
@@ -209,7 +209,7 @@ static void read(network *of, const real *const *given) {
     lay(given[2 * of->depth + 1], of->width, of->size, 1, of->wide, of->enter);
 }
 
-/* Read members: where fewer than a block are left, the last one again, which pulls at nothing. */
+/* Read the members of a block; an incomplete block is filled with copies of the last one, with v = 0. */
 static void enter(const network *of, block *b, long left, const real *x, const real *h, long h_step,
                   const real *v) {
     for (long m = 0; m < of->members; m++) {
@@ -231,7 +231,7 @@ static void write(const network *of, const gradients *from, real *to) {
     lift(from->leave, of->width, of->size, 1, of->wide, to);
 }
 
-/* Members of a block, so that its stages lie near. */
+/* Return the number of members in a block whose stages fit in the cache. */
 static long members_of(long batch, long apart_for_one, long stages) {
     long members = NEAR / ((long)sizeof(real) * apart_for_one * stages) / ROWS * ROWS;
     members = members < FEWEST ? FEWEST : members > MOST ? MOST : members;
@@ -246,16 +246,17 @@ static network network_of(long batch, long size, long width, long depth, long ac
     return of;
 }
 
-/* Numbers that a batch keeps for its reverse. */
+/* Return how many numbers a batch stores for its reverse pass. */
 long ahnn_kept(long batch, long size, long width, long depth, long stages) {
     network of = network_of(batch, size, width, depth, GELU, stages);
     return filled(batch, of.members) / of.members * stages * apart(&of);
 }
 
-/* Write the increments (batch, size) of one step from x, or, where v is given, v . d(increment)/dx, and
-   v . d(increment)/dparameters to `sums`, one after the other as in `given`. The tableau has the rows of stages,
-   then the weights of the step, each `stages` long; h_step is 0 where all members share one step. The increment
-   leaves in `records`, if there are any, what the reverse, which then overwrites it, would have to make again. */
+/* Write the increments (batch, size) of one step from x. If v is given, write v . d(increment)/dx instead, and
+   v . d(increment)/dparameters to `sums`, in the order of `given`. The tableau contains one row per stage, then
+   the weights of the step, each with `stages` numbers; h_step is 0 if all members share one step. If `records` is
+   given, the forward pass stores values there that the reverse pass would otherwise recompute; the reverse pass
+   overwrites them. */
 long ahnn_increment(long batch, long size, long width, long depth, long activation, long stages,
                     const real *tableau, const real *const *given, const real *x, const real *h, long h_step,
                     const real *v, real *records, real *out, real *sums) {
@@ -268,7 +269,7 @@ long ahnn_increment(long batch, long size, long width, long depth, long activati
     size_t zero = sizeof(real) * from.used, block_of_stages = sizeof(real) * (size_t)(stages * apart(&of));
     from = (arena){aligned_alloc(BYTES, zero + (records ? 0 : block_of_stages)), 0};
     if (!from.base) return NO_MEMORY;
-    memset(from.base, 0, zero); /* stages are written before they are read */
+    memset(from.base, 0, zero); /* stages need no zeros: they are written before they are read */
     place(&from, &of, &to, &b);
     b.stages = from.base + from.used;
     read(&of, given);

@@ -27,7 +27,7 @@ def transition(flow: Flow, x: Tensor, dt: TimeStep) -> tuple[Tensor, Tensor]:
     if not torch.is_grad_enabled() and isinstance(flow, HamiltonianDynamics):
         field, method = varied(flow.field), flow.integrator
         if field is not None and isinstance(method, ExplicitRungeKutta | SymmetricComposition):
-            step = column(dt)  # one step for a member and its variations
+            step = column(dt)  # a member and its derivatives share one step
             return moved(lambda z: z + method.increment(cast(Any, field), z, step), x)
     with torch.inference_mode(mode=False):
         x = x.clone() if x.is_inference() else x

@@ -37,7 +37,7 @@ def conditioned(
     size, present = y.shape[-1], ~torch.isnan(y)
     chol_y, cross, chol = joint[:, :size, :size], joint[:, size:, :size], joint[:, size:, size:]
     diagonal = torch.diagonal(chol_y, dim1=-2, dim2=-1)
-    # Deviations below the rounding of the numbers subtracted are zero.
+    # Standard deviations below the rounding errors of the numbers subtracted count as zero.
     sizes = chol_y.norm(dim=-1) + y.nan_to_num().abs() + innovation.abs()
     singular = (diagonal <= EPS / LIMIT * sizes.detach()).any(-1)
     white = torch.linalg.solve_triangular(chol_y, innovation.unsqueeze(-1), upper=False)

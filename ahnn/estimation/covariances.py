@@ -48,7 +48,9 @@ def initial_belief(mean: Numbers, covariance: Numbers) -> Belief:
         raise ValueError(message + ("; use mean[None]" if mean.ndim == 1 else ""))
     finite = torch.isfinite(mean).all(-1)
     if not bool(finite.all()):
-        message = f"initial_belief: mean of member {int((~finite).nonzero()[0])} is not finite; drop it"
+        message = (
+            f"initial_belief: the mean of member {int((~finite).nonzero()[0])} is not finite; drop the member"
+        )
         raise ValueError(message)
     batch, size = mean.shape
     chol = covariance_factor(covariance, "P0", batch=batch, size=size, definite=True)

@@ -74,7 +74,7 @@ def require_states(propagated: object, shape: torch.Size) -> None:
     """Raise ValueError if a flow returns anything but states of its input's shape."""
     if not _is_real(propagated, shape):
         message = (
-            f"flow: expected flow(x, dt) to return a real tensor of the shape of x, {tuple(shape)}; "
+            f"flow: expected flow(x, dt) to return a real tensor with the shape of x, {tuple(shape)}; "
             f"received {described(propagated)}"
         )
         raise ValueError(message)

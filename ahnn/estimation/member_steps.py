@@ -53,7 +53,7 @@ class MemberMeasurement:
         self.model, self.names, self.units = model, model.names, model.units
         self.periods, self.times = periods(model), times
 
-    def __call__(self, x: Tensor, t: Time) -> Tensor:  # noqa: ARG002 - members have individual times
+    def __call__(self, x: Tensor, t: Time) -> Tensor:  # noqa: ARG002 - each member has its own times
         """Return the measurements (B, ..., M) of the states x (B, ..., D)."""
         return self.model(x, self.times.reshape(-1, *(1,) * (x.ndim - 2)).expand(x.shape[:-1]))
 

@@ -86,8 +86,8 @@ def lost_in_update(prior: Belief, updated: Updated, y: Tensor, chol_r: Tensor, r
     spread = torch.where(present, updated.deviation.detach(), 0.0)
     sizes = y.detach().nan_to_num().abs() + updated.innovation.detach().abs() + spread
     exact = present & (torch.diagonal(chol_r.detach(), dim1=-2, dim2=-1) == 0.0)
-    # A missing component is treated as uncorrelated; an exactly measured component is
-    # given its predicted uncertainty, and its mean has no deviation for comparison.
+    # A missing component is treated as uncorrelated; an exactly measured component is given its
+    # predicted uncertainty, and there is no standard deviation to compare its mean with.
     noisy = (present & ~exact).unsqueeze(-1)
     noise = torch.where(noisy, chol_r.detach(), torch.diag_embed(torch.where(exact, spread, 1.0)))
     loss = _whitened(noise, torch.where(present, sizes, 0.0))

@@ -129,7 +129,7 @@ class SampleFilter(MemberFilter[SampleState]):
         state = state._replace(updates=state.updates + 1)
         images = measured(sensor.measurement, state.points, float(state.time))
         proposed, told = self.conditioned(state, images, y, sensor)
-        if sensor.thresholds is not None:  # rejected rows may leave no sample with a weight
+        if sensor.thresholds is not None:  # rejected rows may leave no sample with nonzero weight
             refused = told.nis > sensor.thresholds[(~y.isnan()).sum(-1)]
             belief = choose(refused, state.belief, told.belief)
             told = told._replace(belief=belief, singular=told.singular & ~refused)

@@ -170,7 +170,7 @@ def _named(state: Any) -> dict[str, Tensor]:
     for name, part in state._asdict().items():
         inner = _named(part) if isinstance(part, tuple) else {name: part}
         if twice := named.keys() & inner.keys():
-            message = f"state: expected parts of different names; received {', '.join(sorted(twice))} twice"
+            message = f"state: expected parts with different names; received {', '.join(sorted(twice))} twice"
             raise ValueError(message)
         named |= inner
     return named

@@ -88,7 +88,7 @@ def _try(measurement: Any, system: System, time: float) -> None:
     if mass != system.inertia:
         message = (
             f"measurement: expected {type(measurement).__name__} with mass={system.space.mass:g}, the mass "
-            f"of the system, whose momenta it reads; received mass={mass:g}"
+            f"of the system, since it reads momenta; received mass={mass:g}"
         )
         raise UserError(message)
     expected = (1, len(measurement.names))
@@ -96,7 +96,7 @@ def _try(measurement: Any, system: System, time: float) -> None:
         shape = tuple(measurement(x, time).shape)
     except (RuntimeError, IndexError, ValueError) as error:
         message = (
-            f"measurement: expected a model of states with {x.shape[-1]} components; "
+            f"measurement: expected a model for states with {x.shape[-1]} components; "
             f"{type(measurement).__name__} failed: {error}"
         )
         raise UserError(message) from error
@@ -141,7 +141,7 @@ def near_system(truth: System | None, beside: System | None, space: Space) -> Sy
         raise UserError(message)
     if (system := truth or beside) is None:
         message = (
-            f"system: expected a system with known equations; received data of {space.name}. Use python -m "
+            f"system: expected a system with known equations; received data for {space.name}. Use python -m "
             "ahnn.assimilate, which filters measurements without known equations"
         )
         raise UserError(message)

@@ -55,14 +55,14 @@ class Band(NamedTuple):
         return (
             f"bands of 1, 2 and 3 standard deviations contain {percent(self.coverage)} % of unseen states "
             f"({self.test.sentence()}); the error is {self.efficiency[0]:.2f} (position) and "
-            f"{self.efficiency[1]:.2f} ({quantity(space, 'velocity')[0]}) times the noise bound (at the "
-            f"bound {ranges(self.usual)} in 19 of 20 training runs)"
+            f"{self.efficiency[1]:.2f} ({quantity(space, 'velocity')[0]}) times the noise bound "
+            f"({ranges(self.usual)} in 19 of 20 training runs at the bound)"
         )
 
     def verdict(self) -> str:
         """Return whether the bands are right, for the verdict; "" with too few independent directions."""
         told = self.test.verdict
-        found = f"bands of the prediction are {told}: errors are {self.test.scatter:.2f} standard deviations"
+        found = f"prediction bands are {told}: errors are {self.test.scatter:.2f} standard deviations"
         return "" if told == TOO_FEW else found
 
     def numbers(self) -> dict[str, Any]:
@@ -98,7 +98,7 @@ def banded(case: Case, uncertainty: Uncertainty, prediction: Tensor) -> Band:
 
     test = direction_test(tested())
     deviations, alone = (torch.cat(some).sqrt() for some in zip(*parts, strict=True))
-    alone = alone / uncertainty.inflation**0.5  # both contain the inflation; `alone` lacks the offset
+    alone = alone / uncertainty.inflation**0.5  # both include the inflation; `alone` omits the offset
     bound = norms(alone.where(there, torch.nan), case.space.divisor)
     real = norms(off, case.space.divisor)
     later, band = off[:, 1:].abs(), deviations[:, 1:]

@@ -69,9 +69,7 @@ def picture(content: Content, findings: list[Finding]) -> Figure:
     curves(panels, content, shown)
     for one, (time, value) in ringed.items():
         axes = panels[int(names.index(one.column) >= len(content.positions))]
-        axes.plot(
-            time, value, "o", mfc="none", color=style.BLACK, ms=8, zorder=5, label="finding on a number"
-        )
+        axes.plot(time, value, "o", mfc="none", color=style.BLACK, ms=8, zorder=5, label="suspicious value")
     for one, place in list(ringed.items())[:NAMED]:
         axes = panels[int(names.index(one.column) >= len(content.positions))]
         axes.annotate(f"row {one.row}", place, xytext=(6, 6), textcoords="offset points", fontsize=8)
@@ -107,7 +105,7 @@ def curves(panels: Any, content: Content, shown: Sequence[Track]) -> None:
         change = None if content.momenta else slopes(part.times, part.values[:, :n], 1)
         if change is not None:
             look = {"color": style.BLACK, "ls": "none", "marker": "+", "ms": 4, "zorder": 4}
-            panels[1].plot(part.times[change.at], change.values, **look, label="change of the positions")
+            panels[1].plot(part.times[change.at], change.values, **look, label="change in the positions")
 
 
 def rings(

@@ -61,7 +61,7 @@ class ForceBound(NamedTuple):
         return (
             f"the error from the true start is {self.efficiency[0]:.3g} (position) and "
             f"{self.efficiency[1]:.3g} ({second}) times the bound for the true force with unknown "
-            f"{', '.join(self.constants)} and starts"
+            f"{', '.join(self.constants)} and initial states"
         )
 
     def numbers(self) -> dict[str, Any]:

@@ -67,8 +67,8 @@ class Forecast(NamedTuple):
     def sentence(self) -> str:
         """Return the finding as a note under the table."""
         text = (
-            f"forecasts of the second half of {self.trajectories - self.lost} unseen trajectories from the "
-            f"first: bands of 1, 2 and 3 standard deviations, rms {self.width:.3g} times the noise, "
+            f"forecasts of the second half of {self.trajectories - self.lost} unseen trajectories from their "
+            f"first half: bands of 1, 2 and 3 standard deviations, rms {self.width:.3g} times the noise, "
             f"contain {percent(self.coverage)} % of the measured values"
         )
         if self.states is not None:
@@ -203,10 +203,10 @@ def imagined(columns: int) -> Tensor:
 
 
 def held(off: Tensor, sd: Tensor) -> Tensor:
-    """Return the number of errors (n, DRAWS), with deviations (n, 1), within bands in each draw, (3, DRAWS).
+    """Return how many of the errors (n, DRAWS) lie within each band in each draw, shape (3, DRAWS).
 
-    Errors of one training run are correlated: if nearly all lie along one direction, a calibrated band
-    contains nearly all of them or few.
+    Bands are multiples of the standard deviations (n, 1). Errors of one training run are correlated: if
+    nearly all lie along one direction, a calibrated band contains nearly all of them or few.
     """
     return torch.stack([(off.abs() <= k * sd).sum(0) for k in SIGMAS])
 

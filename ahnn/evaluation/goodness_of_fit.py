@@ -61,18 +61,16 @@ class Explained(NamedTuple):
         low, high = self.band
         text = (
             f"residuals of unseen measurements have {self.chi_square:#.4g} times the noise variance (1 "
-            f"within {low - 1:+.1g} and {high - 1:+.1g}), successive residuals correlate by "
-            f"{self.correlation:+.1g}"
+            f"{low - 1:+.1g} to {high - 1:+.1g} if the model is right), and successive residuals correlate "
+            f"by {self.correlation:+.1g}"
         )
         text += f"; {in_percent(self.outliers)} excluded as outliers" if self.outliers else ""
         if self.halved_steps is not None and abs(self.halved_steps - self.chi_square) > (high - low) / 2:
             text += (
                 f"; with steps of half the length {self.halved_steps:#.4g} times: the integrator's error "
-                "is not negligible compared with the noise; use one of higher order"
+                "is not negligible compared with the noise; use an integrator of higher order"
             )
-        return text + (
-            f"; {self.lost} of {self.trajectories} trajectories not explained" if self.lost else ""
-        )
+        return text + (f"; {self.lost} of {self.trajectories} trajectories not fitted" if self.lost else "")
 
     def numbers(self) -> dict[str, Any]:
         """Return plain values for metrics.json."""
@@ -135,7 +133,7 @@ def explain(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") 
         again = refine(trial, near, part, half, FOLLOWING, SURE)
         halved = float(part.scores(again.states[:, half.ends]).square().sum()) / total
     correlation, pairs = serial(residuals.masked_fill(part.values.isnan(), torch.nan))
-    # Residuals of a fit have a correlation of about minus the fraction of values spent on unknowns.
+    # After a fit, successive residuals correlate by about minus the number of unknowns per value.
     spent = 1 - total / float(part.measured.sum()) if total else 0.0
     return Explained(
         chi_square=chi,

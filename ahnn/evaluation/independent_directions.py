@@ -65,7 +65,10 @@ class DirectionTest(NamedTuple):
     def sentence(self) -> str:
         """Return the finding in words."""
         low, high = self.right
-        found = f"errors along {self.directions} independent directions are {self.scatter:.2f} deviations"
+        found = (
+            f"errors along {self.directions} independent directions are {self.scatter:.2f} standard "
+            "deviations"
+        )
         if self.verdict == TOO_FEW:
             return f"{found}: {self.verdict}"
         return (

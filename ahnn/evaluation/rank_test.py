@@ -55,8 +55,8 @@ def rank_table(scores: Sequence[Score]) -> str:
     least = min(p for p, _ in every.values())
     enough = "uniform" if len(scores) >= DRAWS else "too few draws to tell"
     verdict = enough if least * len(every) >= REFUSED else "not uniform"
-    lines.append(f"ranks: {verdict}, least p {least:.2g} of {len(every)} tests")
-    lines.append(f"within 1, 2, 3 sigma, all trajectories, mean of {len(scores)} draws:")
+    lines.append(f"ranks: {verdict}, smallest p {least:.2g} in {len(every)} tests")
+    lines.append(f"within 1, 2 and 3 sigma, all trajectories, mean over {len(scores)} draws:")
     lines += [f"  {name:<26}{share_line(rows)}" for name, rows in coverages(scores).items()]
     tests = [one["uncertainty"]["test"] for one in scores]
     every_draw = together([DirectionTest(test["directions"], test["scatter"]) for test in tests])
@@ -93,9 +93,9 @@ def rank_figure(scores: Sequence[Score]) -> Figure:
         label = None if quantity in colours else quantity
         colour = colours.setdefault(quantity, f"C{len(colours)}")
         axes.step([0, *values, 1], [0, *steps, 0], where="post", label=label, lw=1, color=colour)
-    edge = 1.358 / len(scores) ** 0.5  # of Kolmogorov's distribution, 95 %
+    edge = 1.358 / len(scores) ** 0.5  # 95 % quantile of Kolmogorov's distribution
     axes.axhspan(-edge, edge, color=style.BAND, alpha=0.3, lw=0, label="uniform, 95 %")
     axes.set_xlabel("rank of the truth in its band")
-    axes.set_ylabel("fraction of draws below, less rank")
+    axes.set_ylabel("fraction of draws below, minus rank")
     style.legend_below(figure, axes)
     return figure

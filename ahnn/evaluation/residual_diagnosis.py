@@ -58,7 +58,7 @@ def invisible(dynamics: nn.Module, segment: Segment, noise: NoiseEstimate | None
         return ""
     return (
         "a constant bias of the readings would go unnoticed, since the learned functions shift with it; "
-        "bands exclude it unless data.bias_sd gives its standard deviation"
+        "bands do not include it unless data.bias_sd gives its standard deviation"
     )
 
 
@@ -89,8 +89,8 @@ def verdicts(found: ResidualTests, names: tuple[str, ...], interval: float, robu
     if robust == "none" and float(found.tails.max()) > FEW and bool((found.tails * pairs > 2).any()):
         outliers = in_percent(float(found.tails.max()))
         said.append(
-            f"{outliers} of the values are outliers, which loss.robust=student downweights and "
-            "data.tails=estimate models"
+            f"{outliers} of the values are outliers; set loss.robust=student to downweight them, or "
+            "data.tails=estimate to model them"
         )
     return said
 
@@ -118,7 +118,7 @@ def _colour(found: ResidualTests, names: tuple[str, ...], coloured: Tensor, inte
     return (
         f"the noise is coloured: successive values correlate by {each} (correlation time about "
         f"{memory:.2g}), and bands are up to {widening:.2g} times too narrow; data.correlation=estimate "
-        "accounts for it, and measurement.bias_memory in filters"
+        "accounts for it in training, and measurement.bias_memory in filters"
     )
 
 
@@ -135,7 +135,7 @@ def _biases(found: ResidualTests, names: tuple[str, ...], coloured: Tensor) -> l
         each = _listed(zip(names, found.bias.neg().tolist(), constant.tolist(), strict=True))
         said.append(
             f"readings are biased: {each} standard deviations of the noise on average; data.bias_sd=NUMBER "
-            "estimates it with the dynamics"
+            "estimates this bias with the dynamics"
         )
     if bool(spreads.any()):
         each = _listed(zip(names, found.spread.tolist(), spreads.tolist(), strict=True)).replace("+", "")

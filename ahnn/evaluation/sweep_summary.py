@@ -44,7 +44,7 @@ def sweep_table(folder: Path, jobs: list[Path]) -> Table:
         cells = [*missing, "no scores"] if values is None else values
         own = Text(" ".join(text for text in texts if text not in common))
         table.add_row(job.name, own, *cells, style="red" if values is None else None)
-    table.caption = "W: steps of the loss; losses of different W are not comparable. Scores: true start."
+    table.caption = "W: steps in the loss; losses for different W are not comparable. Scores: true start."
     table.caption_justify = "left"
     return table
 

@@ -133,12 +133,12 @@ def energy(case: Case, curves: list[Curve]) -> Figure:
     upper.grid(alpha=0.3)
     upper.ticklabel_format(axis="y", scilimits=(-3, 4))
     which = "true" if case.truth is not None else "learned"
-    upper.set_ylabel(f"change of {which} energy [{unit}]")
-    lower.set_ylabel(f"error of the energy [{unit}]")
+    upper.set_ylabel(f"change in {which} energy [{unit}]")
+    lower.set_ylabel(f"energy error [{unit}]")
     style.label_time(lower, axis)
     style.legend_below(figure, upper)
     start = f"{float(data[0]):.6g}" + (f" {unit}" if unit != "1" else "")
-    upper.set_title(f"{case.space.name}: energy along one unseen trajectory, at first {start}")
+    upper.set_title(f"{case.space.name}: energy along one unseen trajectory, initially {start}")
     return figure
 
 

@@ -33,7 +33,7 @@ def check_together(prepared: Prepared) -> None:
         )
         raise UserError(message)
     if data.source.space.controls and model.dynamics.clock < 2:
-        what = "the controls %s of the data have no effect in this model; forces=controls uses them"
+        what = "the controls %s in the data have no effect in this model; forces=controls uses them"
         log.warning(what, ", ".join(data.source.space.controls))
     if model.curriculum.span is not None:
         data.require_span(model.curriculum.span, model.dynamics.clock)
@@ -72,4 +72,4 @@ def require_equations(model: AbstractModel, data: WindowDataModule) -> None:
         size = memory_of_parts(count)
     who = "model.network" if size < 2 * memory_of(count, 0) or data.stages else "data.batch_size"
     remedy = "Choose a smaller network or batch" + ("" if data.stages else ", or recipe=first_order")
-    require_memory(who, f"the equations of second-order steps on {count:,} parameters", size, remedy)
+    require_memory(who, f"the equations for second-order steps on {count:,} parameters", size, remedy)

@@ -127,10 +127,10 @@ def learned_lines(ready: PreparedOrbit, fit: OrbitFit) -> list[str]:
     first, last = min(fit.problem.at, data.times[0]), data.times[-1]
     _, _, norms = learned_acceleration(fit, term, place, np.linspace(first, last, 5))
     words = ", ".join(f"{value:.3e} ± {sd:.1e}" for value, sd in norms)
-    lines = [f"learned acceleration in m/s², at its start, quarters and end: {words}"]
+    lines = [f"learned acceleration in m/s² at the start, quarters and end: {words}"]
     if fit.smooth is not None:
         lines.append(
-            f"  smoothness by evidence: values of {1e3 * fit.smooth.deviation * term.basis.unit:.2g} m/s², "
+            f"  smoothness from the evidence: about {1e3 * fit.smooth.deviation * term.basis.unit:.2g} m/s², "
             f"changing over {fit.smooth.length / 3600:.1f} h"
         )
     return lines
@@ -154,7 +154,7 @@ def unseen_lines(ready: PreparedOrbit, fraction: float) -> list[str]:
     fits = {"with the learned acceleration" if ready.learned else "forecast": orbit_fit(part)}
     if ready.learned is not None:
         fits["without it"] = orbit_fit(without_learned(part, ready))
-    lines = [f"the last {int((~used).sum())} of {len(used)} times unseen, within 2 standard deviations:"]
+    lines = [f"the last {int((~used).sum())} of {len(used)} times, unseen, within 2 standard deviations:"]
     for name, fit in fits.items():
         words = []
         for kind, (count, inside, rms) in coverage(fit, ~used).items():

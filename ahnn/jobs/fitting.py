@@ -25,10 +25,10 @@ def fit(prepared: Prepared) -> float:
     trainer = prepared.trainer
     calibrate(prepared)
     if prepared.model.dynamics.begins_known and prepared.checkpoint is None:
-        trainer.num_sanity_val_steps = math.inf  # the initial known physics may remain the best
+        trainer.num_sanity_val_steps = math.inf  # the known physics alone may remain the best model
     if trainer.is_global_zero:
         announce(prepared)
-        # Keys without any effect have been rejected before.
+        # Keys without any effect have already been rejected.
         write_atomically(prepared.folder / "config.yaml", prepared.config)
     return timed_fit(trainer, prepared.model, prepared.data, ckpt_path=prepared.checkpoint)
 
@@ -41,7 +41,7 @@ def calibrate(prepared: Prepared) -> None:
     if prepared.weights is not None and prepared.checkpoint is None:
         begin_at(model, prepared.weights)
     model.to(trainer.strategy.root_device)
-    # Between measurements the integrator may use shorter steps, for which the dynamics are learned.
+    # The integrator may take shorter steps between measurements; the dynamics are learned for these.
     dt = min(statistics.dt, math.inf if data.sensor is None else data.instrument.longest)
     domain = find_domain(model.dynamics.frozen(), data.examples()).about()
     model.learns_from(dt=dt, domain=domain, seen=data.splits.seen())

@@ -79,7 +79,7 @@ class FollowedMeasurements:
             rows.append(ResidualRow(name, KINDS[kind], *numbers, float(np.sqrt(np.mean(sd**2))), bias))
         others = [name for name in self.names[SIZE:] if not name.startswith(("bias ", "learned "))]
         return [
-            "innovations, measured minus predicted, compared with the noise of both:",
+            "innovations, measured minus predicted, compared with the uncertainty of both:",
             *table_lines(rows),
             *(f"  {name} {known[name][0]:.6g} ± {known[name][1]:.2g}" for name in others),
             *self.beside(moments.mean[0].numpy(), time),

@@ -132,7 +132,7 @@ def plan(asked: PlanRequest) -> None:
 
 def lines_of(table: list[tuple[str, str, str, int]], spreads: list[float], unit: str) -> list[str]:
     """Return the sessions in lines, each with the standard deviation of the forecast after it."""
-    lines = [line("", f"sd of position [{unit}]"), line("before", f"{spreads[0]:.4g}")]
+    lines = [line("", f"position sd [{unit}]"), line("before", f"{spreads[0]:.4g}")]
     for (name, first, last, count), sd in zip(table, spreads[1:], strict=True):
         lines.append(line(f"{name}, {first} to {last}, {count} measurements", f"{sd:.4g}"))
     return lines

@@ -82,6 +82,6 @@ def predict(asked: PredictionRequest) -> None:
     show(summary(found, begin, space, title))
     if begin.covariances is not None and not all(run.uncertainty for run in runs):
         what = "the start" if len(runs) == 1 else "the start and the differences between the runs"
-        log.warning("1 sigma: from %s only; these weights carry no uncertainty of the dynamics", what)
+        log.warning("1 sigma: from %s only; these weights carry no uncertainty in the dynamics", what)
     if remark := warning(found, begin, space):
         log.warning(remark)

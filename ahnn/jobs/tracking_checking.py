@@ -52,7 +52,7 @@ def tracking_check(path: Path) -> tuple[list[Finding], RenderableType]:
 def _stations(path: Path) -> tuple[str, str]:
     """Summarise a SINEX file and its unused content."""
     found = sinex_stations(decoded(content_of(path), path), str(path))
-    holds = f"positions of stations: {len(found.solutions)}, eccentricities: {len(found.eccentricities)}"
+    holds = f"station positions: {len(found.solutions)}, eccentricities: {len(found.eccentricities)}"
     return holds, ", ".join(found.unused) or "nothing"
 
 
@@ -61,8 +61,8 @@ def _days(path: Path) -> tuple[str, str]:
     found = read_bulletins(path)
     last = found.mjd[found.final][-1] if found.final.any() else float("nan")
     ends = f"MJD {found.mjd[0]:.0f} to {found.mjd[-1]:.0f}, final until {last:.0f}"
-    holds = f"polar motion and UT1 - UTC of {len(found.mjd)} days, {ends}"
-    return holds, "standard deviations, sections after the first"
+    holds = f"polar motion and UT1 - UTC for {len(found.mjd)} days, {ends}"
+    return holds, "standard deviations, and sections after the first"
 
 
 def _table(path: Path, data: TrackingData, series: list[SeriesSurvey]) -> RenderableType:

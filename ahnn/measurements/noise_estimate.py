@@ -120,13 +120,14 @@ class NoiseEstimate:
         scale = f"{self.deviations[k]:.3g} ± {self.scale_sd[k]:.2g} {unit}"
         if not self.freedom[k]:
             return (
-                f"tails of the noise of {name} cannot be distinguished from those of normal noise (more than "
-                f"{self.freedom_low[k]:.2g} degrees of freedom, with 95 %); its standard deviation is {scale}"
+                f"noise tails of {name} cannot be distinguished from those of normal noise (more than "
+                f"{self.freedom_low[k]:.2g} degrees of freedom with 95 % probability); its standard "
+                f"deviation is {scale}"
             )
         nu, low, high = (values[k] for values in (self.freedom, self.freedom_low, self.freedom_high))
         said = (
-            f"the noise of {name} is Student's with {nu:.2g} degrees of freedom ({low:.2g} to {high:.2g} in "
-            f"95 %) and the scale {scale}"
+            f"the noise of {name} follows Student's t with {nu:.2g} degrees of freedom (95 % interval "
+            f"{low:.2g} to {high:.2g}) and scale {scale}"
         )
         if nu <= 2:
             return f"{said}: it has no standard deviation, and filters need a gate"
@@ -139,7 +140,7 @@ class NoiseEstimate:
         if not coloured:
             return "no correlation of the noise in time was found"
         each = [
-            f"{100 * part:.3g} % of the noise of {name} over {memory:.3g}"
+            f"{100 * part:.3g} % of the noise variance of {name} over times of {memory:.3g}"
             for name, _, part, memory in coloured
         ]
         white, slow = (

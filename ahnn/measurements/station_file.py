@@ -75,14 +75,16 @@ def entry_of(value: Any, who: str) -> StationEntry:
     if isinstance(value, list) and len(value) == 3:
         value = dict(zip(("latitude", "longitude", "height"), value, strict=True))
     if not isinstance(value, Mapping):
-        message = f"{who}: expected [latitude, longitude, height], degrees and m, or keys; received {value}"
+        message = f"{who}: expected [latitude, longitude, height] in degrees and m, or keys; received {value}"
         raise UserError(message)
     check_arguments(who, StationEntry, value)
     entry = StationEntry(**value)
     for kind in ("noise", "bias", "bias_sd"):
         for name, number in getattr(entry, kind).items():
             if name not in SEEN:
-                message = f"{who}.{kind}: expected {', '.join(SEEN)}; received {name!r}{nearest(name, SEEN)}"
+                message = (
+                    f"{who}.{kind}: expected one of {', '.join(SEEN)}; received {name!r}{nearest(name, SEEN)}"
+                )
                 raise UserError(message)
             if not (math.isfinite(number) if kind == "bias" else number > 0):
                 wanted = "a number" if kind == "bias" else "a number > 0"

@@ -61,7 +61,12 @@ class EnsembleModel(LightningModule):
         """Raise UserError for settings that couple the members, or for several devices."""
         clip = trainer.gradient_clip_val or 0
         for name, fits, expected, received in (
-            ("trainer.gradient_clip_val", clip == 0, "none with members, whose gradients it couples", clip),
+            (
+                "trainer.gradient_clip_val",
+                clip == 0,
+                "none with members, since it couples their gradients",
+                clip,
+            ),
             ("trainer.devices", trainer.world_size == 1, "one with members", trainer.world_size),
         ):
             if not fits:

@@ -159,7 +159,7 @@ class AbstractModel(LightningModule, ABC):
             return
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # warning that the optimiser took no step before
+                warnings.simplefilter("ignore")  # the warning that the optimiser has not stepped yet
                 configured["lr_scheduler"]["scheduler"].step()
         except (ArithmeticError, TypeError, ValueError) as error:
             message = f"scheduler: expected settings that allow a step; received: {error}"

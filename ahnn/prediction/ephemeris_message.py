@@ -44,8 +44,8 @@ def ephemerides(prediction: Prediction, starts: Starts, space: Space) -> list[Ep
     position, second = unit(space.units.position), unit(space.units.time)
     if space.dof != 3 or position.dimension != LENGTH or second.dimension != TIME:
         message = (
-            f"output: expected three positions in a length and times for an ephemeris message; received "
-            f"{space.dof} in {space.units.position} and {space.units.time}. Write .csv"
+            "output: expected three positions in a unit of length, and a unit of time, for an ephemeris "
+            f"message; received {space.dof} in {space.units.position}, and {space.units.time}. Write .csv"
         )
         raise UserError(message)
     frame, center, clock, epoch = starts.reference

@@ -1,6 +1,6 @@
-/* Steps of symmetric compositions of the leapfrog, drift first, for satellites of an oblate planet: the formulas
-   are those of symplectic.py and molniya.py, which are the reference. A block of members does a whole step in
-   the cache; its loops over members are those that a compiler makes vector operations of. */
+/* Steps of symmetric compositions of leapfrogs that begin with a drift, for satellites of an oblate planet: the
+   formulas are those of symplectic.py and molniya.py, which are the reference. A block of members stays in the
+   cache for a whole step; compilers vectorise the loops over members. */
 
 #include <math.h>
 
@@ -29,15 +29,15 @@ INLINE void kick(double weight, double attraction, double oblateness, const doub
     }
 }
 
-/* Write the states (batch, 6) that follow from x after `parts` steps of length h. There are `stages` kicks and
-   one drift more; h_step is 0 where all members share one step. */
+/* Write the states (batch, 6) reached from x after `parts` steps of length h. There are `stages` kicks and
+   stages + 1 drifts; h_step is 0 if all members share one step. */
 long ahnn_oblate_steps(long batch, long stages, const double *drifts, const double *kicks, double mass,
                        double attraction, double oblateness, long parts, const double *x, const double *h,
                        long h_step, double *out) {
     for (long first = 0; first < batch; first += MEMBERS) {
         block q, p, dq, dp, sum;
         double h_of[MEMBERS];
-        for (int m = 0; m < MEMBERS; m++) { /* those that are left over repeat the last member */
+        for (int m = 0; m < MEMBERS; m++) { /* an incomplete block is filled with copies of the last member */
             long member = first + m < batch ? first + m : batch - 1;
             for (int d = 0; d < 3; d++) q[d][m] = x[6 * member + d], p[d][m] = x[6 * member + 3 + d];
             h_of[m] = h[member * h_step];
@@ -62,14 +62,14 @@ long ahnn_oblate_steps(long batch, long stages, const double *drifts, const doub
     return 0;
 }
 
-/* Constants of a flow in steps of any length, of which the longest undivided is `longest`. */
+/* Constants of a flow; steps longer than `longest` are subdivided. */
 typedef struct {
     long stages;
     const double *drifts, *kicks;
     double mass, attraction, oblateness, longest;
 } oblate;
 
-/* The states (batch, 6) that follow from x after dt; equal steps, as substeps.py counts them. */
+/* Write the states (batch, 6) reached from x after dt, in equal steps whose number is that of substeps.py. */
 long ahnn_oblate_flow(const oblate *of, long batch, const double *x, double dt, double *out) {
     double parts = ceil(fabs(dt) / of->longest - 1e-9), h;
     if (!(parts >= 1.0)) parts = 1.0;

@@ -66,7 +66,7 @@ NETWORK = ("model=hnn", "loss=recursive", "integrator=dopri8", "trainer.max_epoc
 TWO = FieldTask(
     "two bodies from 800 orbits of 50 states",
     SOURCE,
-    "squared error of the energy over 25 units of time, 15 starts",
+    "squared energy error over 25 units of time, 15 initial states",
     "the published models also use exact derivatives; these use only states, 0.41 apart",
     {"baseline": 6.3e-2, "HNN": 3.9e-5},
     {"pairs": PAIRS},
@@ -75,7 +75,7 @@ TWO = FieldTask(
 THREE = FieldTask(
     "three bodies from 4,000 orbits of 20 states",
     SOURCE,
-    "squared error of the energy over 3 units of time, 15 starts",
+    "squared energy error over 3 units of time, 15 initial states",
     "the published models also use exact derivatives; these use only states, 0.26 apart",
     {"baseline": 109.0, "HNN": 4.2e-2},
     {"network": NETWORK, "pairs": PAIRS},

@@ -49,7 +49,7 @@ MODELS = {
 SPRING = FieldTask(
     "spring, q^2 + p^2, from 25 trajectories of 30 noisy states",
     SOURCE,
-    f"squared error of the energy over {LONG:g} units of time, {STARTS} starts in [-1, 1]^2",
+    f"squared energy error over {LONG:g} units of time, {STARTS} initial states in [-1, 1]^2",
     "the published models also use exact derivatives; these use only noisy states",
     {"baseline": 0.17, "HNN": 3.8e-4},
     MODELS,
@@ -59,7 +59,7 @@ SPRING = FieldTask(
 PENDULUM = FieldTask(
     "pendulum, 2 (1 - cos q) + p^2, from 25 trajectories of 45 noisy states",
     SOURCE,
-    f"squared error of the energy over {LONG:g} units of time, {STARTS} starts in [-1, 1]^2",
+    f"squared energy error over {LONG:g} units of time, {STARTS} initial states in [-1, 1]^2",
     "as in noisy_spring; the published energy of this task is q^2 + p^2, here it is the pendulum's",
     {"baseline": 4.15e-2, "HNN": 2.49e-2},
     MODELS,

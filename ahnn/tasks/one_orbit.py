@@ -83,8 +83,8 @@ TASK = FieldTask(
     "Hénon-Heiles, mu 0.8, from one orbit of 161 noisy states",
     "magnusross/hgp, MIT; Ross & Heinonen 2023, TMLR",
     f"root mean squared error on ({DURATION:g}, {2 * DURATION:g}] in standard deviations of the data, from "
-    "the start that fits the noisy states best",
-    "the noise level is known here; floor: true equations from the best-fitting start",
+    "the best-fitting initial state",
+    "the noise level is known here; floor: true equations from the best-fitting initial state",
     {},
     {
         "network": ("model=hnn", *MEASURED),

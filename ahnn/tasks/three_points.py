@@ -91,9 +91,9 @@ def task(title: str, form: Callable[[list[float]], System], constants: list[floa
     return FieldTask(
         f"{title} from {TRAINED} trajectories of {STEPS + 1} noisy states, {STEP:g} apart",
         "hakonnoren/learning_hamiltonian_noise, MIT; Celledoni, Eidnes & Myhr 2025, Physica D 472, 134471",
-        f"norm of the mean error over {STEPS * STEP:g} units of time from {TESTED} exact starts; the noise "
-        f"is {NOISE:g} per component, and the floor has {len(constants)} free constants in the true form",
-        "270 training trajectories instead of 285; the size of the noise is known",
+        f"norm of the mean error over {STEPS * STEP:g} units of time from {TESTED} exact states; the noise "
+        f"is {NOISE:g} per component, and the floor is the true form with {len(constants)} free constants",
+        "270 training trajectories instead of 285; the noise level is known",
         {},
         learned,
         partial(draw, form=form, constants=constants),

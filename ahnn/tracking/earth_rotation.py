@@ -49,7 +49,7 @@ class EarthRotation:
             asked, known = (self.day(first), self.day(last)), (rows.mjd[0], rows.mjd[-1])
             message = (
                 f"orientation: expected four days that enclose MJD {asked[0]:.1f} to {asked[1]:.1f}; "
-                f"received {len(rows.mjd)} from {known[0]:.0f} to {known[1]:.0f}. Give bulletins for that "
+                f"received {len(rows.mjd)} days, {known[0]:.0f} to {known[1]:.0f}. Give bulletins for that "
                 "time"
             )
             raise UserError(message)
@@ -85,7 +85,7 @@ class EarthRotation:
         """Return the matrices from GCRF to ITRF at times (T,), shape (T, 3, 3)."""
         measured = self._measured(times)
         tt, fraction = terrestrial(self.epoch, times, "UTC")
-        # Instants are in TAI - 10 s, as all epochs that include the leap seconds since 1972.
+        # Instants are in TAI - 10 s, like all epochs that include the leap seconds since 1972.
         ut1 = fraction + (TT_TO_TAI - 10 - measured[:, 0]) / epochs.DAY
         angle = self._erfa.era00(tt, ut1)
         polar = self._erfa.pom00(measured[:, 1], measured[:, 2], self._erfa.sp00(tt, fraction))

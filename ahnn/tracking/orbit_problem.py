@@ -147,7 +147,8 @@ def measured(setup: OrbitSetup, folder: Path) -> TrackingData:
     if len(known) != 1:
         objects = ", ".join(f"{one.object or 'without a name'} ({one.event})" for one in found)
         message = (
-            f"object: expected one of {setup.measurements}: {objects}; received {setup.object or 'none'}"
+            f"object: expected one object in {setup.measurements} ({objects}); received "
+            f"{setup.object or 'none'}"
         )
         raise UserError(message)
     return known[0]
@@ -168,13 +169,15 @@ def entries_of(setup: OrbitSetup, folder: Path, data: TrackingData) -> dict[str,
         if unused := [name for name in known if name not in data.stations]:
             names = ", ".join(data.stations)
             message = (
-                f"stations.{unused[0]}: expected a station of {setup.measurements}: {names}; received an "
+                f"stations.{unused[0]}: expected a station in {setup.measurements} ({names}); received an "
                 "unknown one"
             )
             raise UserError(message)
     for name in data.stations:
         if name not in known:
-            message = f"stations.{name}: expected [latitude, longitude, height], degrees and m; received None"
+            message = (
+                f"stations.{name}: expected [latitude, longitude, height] in degrees and m; received None"
+            )
             raise UserError(message + nearest(name, tuple(known)))
         require_event(known[name], name, data)
     return known

@@ -171,7 +171,7 @@ def setup_of(values: Mapping[str, Any]) -> OrbitSetup:
     setup = choice_of(OrbitSetup, values, "")
     for name in ("position", "velocity") if setup.start is not None else ():
         if len(given := getattr(setup.start, name)) != 3:
-            message = f"start.{name}: expected three numbers, km or km/s; received {given}"
+            message = f"start.{name}: expected three numbers in km or km/s; received {given}"
             raise UserError(message)
     for section in (setup.noise, setup.biases):
         for one in fields(section):

@@ -108,7 +108,7 @@ def verdict(row: ResidualRow) -> str:
     if abs(row.trend[0]) > CERTAIN * row.trend[1]:
         found.append(f"drifts by {3600 * factor * row.trend[0]:+.2g} {unit} an hour")
     if row.sd > WIDE * row.noise:
-        found.append(f"scatters {row.sd / row.noise:.1f} times its noise")
+        found.append(f"the scatter is {row.sd / row.noise:.1f} times the noise")
     if row.correlation > ALIKE:
         found.append(f"successive residuals correlate ({row.correlation:.2f})")
     return "; ".join(found) or "fits"

@@ -116,8 +116,8 @@ class Sightings:
         for name, station in self.measurement.stations.items():
             if name in data.stations and station.event != data.event:
                 message = (
-                    f"stations: {name}.event: expected {data.event}, as {file}; received {station.event}. "
-                    "State the event in the station file, or in a sidecar of the measurements"
+                    f"stations: {name}.event: expected {data.event}, as in {file}; received {station.event}. "
+                    "State the event in the station file, or in a sidecar for the measurements"
                 )
                 raise UserError(message)
             columns[name] = {k: first + c for c, k in enumerate(station.kept)}
@@ -133,7 +133,9 @@ class Sightings:
                     raise UserError(message)
                 values[row[own], columns[name][k]] = data.values[own, k]
         if unused:
-            log.warning("%s: not used, since its noise is not given: %s", file, ", ".join(sorted(unused)))
+            log.warning(
+                "%s: measurements without stated noise are not used: %s", file, ", ".join(sorted(unused))
+            )
         if np.isfinite(data.deviations).any():
             log.warning("%s: the standard deviations are ignored; the noise of the stations is used", file)
         after = (data.epoch - epoch) / SECOND

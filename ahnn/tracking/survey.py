@@ -89,7 +89,7 @@ def standing_out(times: NDArray[np.float64], values: NDArray[np.float64]) -> NDA
     kept, found = np.arange(len(times)), list[int]()
     while len(kept) >= FEWEST:
         errors, doubts = from_neighbours(times[kept], values[kept])
-        around = np.max([doubts[:-2], doubts[1:-1], doubts[2:]], axis=0)  # one alone may vanish by chance
+        around = np.max([doubts[:-2], doubts[1:-1], doubts[2:]], axis=0)  # one may be 0 by chance
         judged = np.where(errors[1:-1] > CLEARLY * around, errors[1:-1], 0.0)
         worst = int(np.argmax(judged)) + 1
         if judged[worst - 1] <= STANDS_OUT * float(np.median(errors)):

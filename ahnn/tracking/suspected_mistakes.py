@@ -117,7 +117,10 @@ def undone(problem: OrbitProblem) -> Iterator[tuple[str, OrbitProblem]]:
     model, data = problem.model, problem.model.data
     angles = np.array([kind not in ("range", "range_rate") for kind in KINDS])
     if np.isfinite(data.values[problem.used][:, angles]).any():
-        for factor, words in ((1 / DEGREE, "radians are taken as degrees"), (DEGREE, "degrees for radians")):
+        for factor, words in (
+            (1 / DEGREE, "radians given as degrees?"),
+            (DEGREE, "degrees given as radians?"),
+        ):
             values = np.where(angles, data.values * factor, data.values)
             other = model.of(model.stations, replace(data, values=values))
             yield f"angles fit if multiplied by {factor:.4g}: {words}", replace(problem, model=other)

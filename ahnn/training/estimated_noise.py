@@ -82,8 +82,8 @@ def is_noise(noise: FoundNoise, chi_square: float) -> bool:
     times = max(float(noise.scales.max()), chi_square**0.5)
     if times > NO_NOISE:
         log.warning(
-            "the noise is not estimated: residuals are %.2g times the expected noise, probably errors of "
-            "the dynamics. Train longer, or set data.noise",
+            "the noise is not estimated: residuals are %.2g times the expected noise, probably due to errors "
+            "in the dynamics. Train longer, or set data.noise",
             times,
         )
     return times <= NO_NOISE

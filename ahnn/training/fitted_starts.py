@@ -65,7 +65,7 @@ class FittedStarts:
 
         @torch.no_grad()
         def residuals(theta: Tensor) -> Tensor:
-            # With new Jacobians: their change times a deviation of kilometres grows along an orbit.
+            # Jacobians are recomputed: errors of old ones, times kilometres, would grow along an orbit.
             moved = copy.deepcopy(dynamics)
             vector_to_parameters(theta, moved.parameters())
             return self.residuals(moved, batch).flatten()

@@ -55,6 +55,6 @@ def require_unbiased(balance: float) -> None:
     if balance:
         message = (
             "loss.balance: expected 0 with measured states, whose noise would set the weights; received "
-            f"{balance:g}. Use recipe=noisy_states or dense_states, which weigh by noise, or loss.balance=0"
+            f"{balance:g}. Use recipe=noisy_states or dense_states, which weight by noise, or loss.balance=0"
         )
         raise UserError(message)

@@ -68,7 +68,7 @@ def conclude(
     found = _concluded(dynamics, train, held_out, steps, robust)
     if found is None:
         return None
-    learned, known = found.taken(dynamics)  # this step may be needed to fit the measurements
+    learned, known = found.taken(dynamics)  # fits of the trajectories may need this step
     uncertain, _ = known.tangent or (dynamics, known)
     return replace(found, directions=least_told(uncertain, found.spread, train, robust, learned))
 
@@ -244,6 +244,6 @@ def held_out_scale(factor: Tensor, test: Equations, noise: float, scatter: float
     beyond = excess**2 - REFUSED**2 * test.degrees * scatter
     if excess <= 0 or beyond <= 0:
         return 1.0
-    # The root of a f^2 - 2 b f + c = 0; below it, noise alone would explain more than what is observed.
+    # The root of a f^2 - 2 b f + c = 0; for smaller f, noise alone would explain more than is observed.
     a, b = expected**2 - 2 * REFUSED**2 * squares, expected * (excess + 2 * REFUSED**2 * noise)
     return max(1.0, beyond / (b + (b**2 - a * beyond) ** 0.5))

@@ -61,8 +61,8 @@ class LevenbergMarquardt(Optimizer):
         """Raise UserError for acceleration without effect: no objective provides second derivatives."""
         if self.acceleration and not any(getattr(objective, "bends", False) for objective in objectives):
             message = (
-                "optimizer.acceleration: expected stages of measurements (loss.stages), the curvature of "
-                "whose residuals is known; received windows of states. Use optimizer=levenberg_marquardt"
+                "optimizer.acceleration: expected a loss on measurements (loss.stages), whose residuals "
+                "have known curvature; received windows of states. Use optimizer=levenberg_marquardt"
             )
             raise UserError(message)
 

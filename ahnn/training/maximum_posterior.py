@@ -94,7 +94,7 @@ class WideProblem(ShootingProblem):
         def fitted() -> Fitted:
             found = super(WideProblem, self).fit(trial, starts, batch, steps, hopeless)
             explained = bool((found.sums <= LOST * batch.measured).any())
-            if starts is not None or not explained:  # dynamics that explain nothing: no path was lost
+            if starts is not None or not explained:  # if nothing is fitted, no path was lost
                 return found
             return regained(trial, found, guess(batch), batch, steps, hopeless)
 

@@ -144,7 +144,7 @@ class Derivative:
 def _below_zeros(rows: Tensor, size: int) -> Tensor:
     """Prepend zero rows for parameter-independent components to rows (B, L, P): (B, size, P)."""
     missing = size - rows.shape[1]
-    return nn.functional.pad(rows, (0, 0, missing, 0)) if missing else rows  # a padding of 0 would copy
+    return nn.functional.pad(rows, (0, 0, missing, 0)) if missing else rows  # `pad` always copies
 
 
 OBJECTIVES: Table[Callable[..., Objective]] = Table(

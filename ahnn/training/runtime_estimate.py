@@ -128,7 +128,8 @@ def step_seconds(model: Any, data: WindowDataModule, objective: Objective) -> fl
             loss.backward()
             optimizer.step()
 
-    if data.stages is not None:  # a few segments may leave no equations once their starts are eliminated
+    # With only a few segments, no equations may remain once the initial states are eliminated.
+    if data.stages is not None:
         return _median(lambda: step(1.0), TRIALS)
     return _of_whole(step, TRIALS)
 

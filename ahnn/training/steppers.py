@@ -71,7 +71,7 @@ class SecondOrder:
         explicit = not isinstance(getattr(dynamics, "integrator", None), GaussLegendre4)
         clip, batches = trainer.gradient_clip_val or 0, trainer.accumulate_grad_batches
         for name, fits, expected, received in (
-            ("data.precision", wide, "64, for the digits of least squares,", 32),
+            ("data.precision", wide, "64, for the precision of least squares,", 32),
             ("integrator", explicit, "an explicit method, to differentiate through,", "gl4"),
             ("trainer.devices", trainer.world_size == 1, "one", trainer.world_size),
             ("trainer.gradient_clip_val", clip == 0, "none, since it takes its own steps,", clip),

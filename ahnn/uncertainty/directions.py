@@ -1,12 +1,12 @@
 """Selection of the uncertain parameter directions that are relevant to a filter.
 
-Omitted directions make a filter overconfident. If parameters have errors L eta, eta ~ N(0, I), which a filter
-does not estimate but considers in its covariance P, its error is S eta plus the error from start and noise
-(the consider filter of Schmidt; Bierman 1977, Factorization Methods for Discrete Sequential Estimation,
-chapter 8): S is propagated by the flow, P = P' + S S^T gives the gain K, and an update gives (I - K H) S. The
-mean of e^T P^-1 e is D, to which each column of S contributes its squared length in units of P. Directions
-are ranked by these contributions, i.e. by how little measurements determine them, and not by their effect on
-pure predictions.
+Omitted directions make a filter overconfident. A consider filter (Schmidt; Bierman 1977, Factorization
+Methods for Discrete Sequential Estimation, chapter 8) does not estimate parameters with errors L eta,
+eta ~ N(0, I), but accounts for them in its covariance P. Its error is S eta plus the error due to the initial
+state and the noise. S is propagated by the flow, the gain K follows from P = P' + S S^T, and an update
+replaces S by (I - K H) S. The mean of e^T P^-1 e is D, to which each column of S contributes its squared
+length in units of P. Directions are ranked by these contributions, i.e. by how little the measurements
+determine them, and not by their effect on pure predictions.
 """
 
 from __future__ import annotations

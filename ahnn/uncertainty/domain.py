@@ -115,7 +115,7 @@ def domain_of(about: dict[str, Any], size: int) -> Domain | None:
 def _distances(inputs: Tensor, known: Tensor) -> Tensor:
     """Return the distance (...) of inputs (..., F) from the nearest known ones (K, F)."""
     flat = inputs.reshape(-1, inputs.shape[-1])
-    # Expanding |a - b|² as a product would lose the digits that distinguish near points.
+    # Expanding |a - b|² as a product would lose the digits that distinguish nearby points.
     exact = "donot_use_mm_for_euclid_dist"
     parts = [torch.cdist(part, known, compute_mode=exact).amin(-1) for part in flat.split(TOGETHER)]
     return torch.cat(parts).reshape(inputs.shape[:-1])

@@ -55,6 +55,6 @@ def forecast_columns(
     first = 0
     for moved in path_sensitivities(dynamics, states, jacobians, steps, factor):
         rows, first = slice(first, first + len(moved)), first + len(moved)
-        # Paths may diverge after the fitted part: replaced by zeros, since 0 times NaN is NaN.
+        # Paths that diverge after the fitted part are replaced by zeros, since 0 times NaN is NaN.
         taken = torch.einsum("bkde,bkdr->ber", pulls[rows], moved.masked_fill(later[rows], 0.0))
         yield noise[rows], moved - noise[rows] @ taken.unsqueeze(1)

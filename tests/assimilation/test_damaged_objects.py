@@ -86,7 +86,8 @@ def test_a_lost_object_is_told_and_a_stream_of_which_nothing_counts_ends_with_a_
         made.run()
     assert len(caplog.messages) == 1
     assert (
-        "object body 2: expected a filter that follows its measurements; it is DIVERGED" in caplog.messages[0]
+        "object body 2: expected a filter that follows its measurements; received DIVERGED"
+        in caplog.messages[0]
     )
     assert {*made.filter.lost} == {NAMES[2]}
     session(TEXT, tmp_path / "clean.csv").run()
@@ -116,7 +117,7 @@ def test_a_bad_header_leaves_nothing_behind(tmp_path, text):
 def test_states_of_others_and_damaged_ones_are_refused(tmp_path):
     names = tmp_path / "out.csv", tmp_path / "state"
     session(TEXT, *names).run()
-    with pytest.raises(UserError, match="of this model, process noise, gate, sensors and window"):
+    with pytest.raises(UserError, match="saved with this model, process noise, gate, sensors and window"):
         session(TEXT, *names, window=3.0)
     with pytest.raises(UserError, match=r"start: expected the 7 objects of .* received different objects"):
         session(TEXT, *names, names=NAMES[:3])

@@ -162,7 +162,7 @@ def test_a_state_of_something_else_is_refused(tmp_path):
     path = tmp_path / "it.state"
     make(window=1.0).save(path)
     for other in (make(window=2.0), make(gate=Gate())):
-        with pytest.raises(UserError, match="of this model, process noise, gate, sensors and window"):
+        with pytest.raises(UserError, match="saved with this model, process noise, gate, sensors and window"):
             other.load(path)
     path.write_bytes(path.read_bytes()[:-50])
     for damaged in (path, tmp_path / "none.state"):

@@ -50,11 +50,11 @@ def test_a_reading_whose_controls_are_none_is_refused_and_changes_nothing(readin
 
 def test_controls_of_a_model_that_has_none_and_tables_of_others_are_refused():
     with pytest.raises(
-        UserError, match="expected none, since no force of the model depends on controls; received"
+        UserError, match="expected none, since no force in the model depends on controls; received"
     ):
         make().update(PUSH)
     with pytest.raises(
-        UserError, match="expected none, since no force of the model depends on controls; received"
+        UserError, match="expected none, since no force in the model depends on controls; received"
     ):
         make(controls=TABLE)
     with pytest.raises(UserError, match=r"controls: expected a table of 2; received \(1, 1\)"):
@@ -64,7 +64,7 @@ def test_controls_of_a_model_that_has_none_and_tables_of_others_are_refused():
     ):
         steered_filter(controls=TABLE, time=-1.0)
     for times, values in (([0.0, 0.0], [[1.0], [2.0]]), ([0.0], [[math.nan]]), ([0.0], [1.0]), ([], [])):
-        with pytest.raises(UserError, match=r"controls: expected times \(T,\) that increase and finite"):
+        with pytest.raises(UserError, match=r"controls: expected increasing times \(T,\) and finite"):
             ControlTable.of(times, values)
 
 

@@ -150,7 +150,7 @@ def test_a_stream_says_it_and_goes_on_bit_for_bit_from_the_middle_of_the_refusal
     whole, parts = tmp_path / "whole.csv", tmp_path / "parts.csv"
     first = session("\n".join(lines) + "\n", whole, gate=GATE)
     first.run()
-    assert "line 26: time 12.5 of sensor ruler reopened the gate" in caplog.text
+    assert "line 26: time 12.5 from sensor ruler reopened the gate" in caplog.text
     assert ",reopened," in whole.read_text().splitlines()[25]
     assert "% of the measurements, and reopened once" in first.verdict()
     for end in (24, 25, 26, 41):  # before, within and behind

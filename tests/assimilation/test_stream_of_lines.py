@@ -150,7 +150,7 @@ def test_lines_that_changed_and_files_of_others_are_refused(tmp_path):
     session(TEXT, *names).run()
     with pytest.raises(UserError, match="expected a new file"):
         session(TEXT, names[0])
-    with pytest.raises(UserError, match="expected the lines processed before, up to line 41"):
+    with pytest.raises(UserError, match="expected the lines already processed, up to line 41"):
         session(TEXT.replace("ruler", "radar", 1), *names).run()
     first = session(TEXT, *names)
     with pytest.raises(UserError, match="no other process writes"):
@@ -200,9 +200,9 @@ def test_numbers_come_in_any_unit_that_fits_the_sensor():
     other = Layout("t;sensor;q [cm];sd_q [mm];p", SENSORS).reading("2;radar;4;3;3")
     assert other.values == pytest.approx(plain.values, rel=1e-15)
     assert other.deviations == pytest.approx(plain.deviations, rel=1e-15)
-    with pytest.raises(UserError, match=r"expected q in m, or a compatible unit; received rad"):
+    with pytest.raises(UserError, match=r"expected q in m, or in a compatible unit; received rad"):
         Layout("t;q [rad]", SENSORS)
-    with pytest.raises(UserError, match=r"expected q in m, or a compatible unit; received ell"):
+    with pytest.raises(UserError, match=r"expected q in m, or in a compatible unit; received ell"):
         Layout("t;sd_q [ell]", SENSORS)
 
 
@@ -277,5 +277,5 @@ def test_a_number_of_another_sensor_is_said_once(tmp_path, caplog):
     with caplog.at_level(logging.WARNING, "ahnn"):
         session("\n".join(lines), tmp_path / "out.csv").run()
     assert caplog.messages == [
-        "measurements: p is ignored on lines of sensor ruler, which does not measure it"
+        "measurements: p is ignored on lines from sensor ruler, which does not measure it"
     ]

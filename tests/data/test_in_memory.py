@@ -110,7 +110,7 @@ def changed(place, value, of=TIMES):
         ({"times": STATES[0, 0].to(torch.complex64)}, "times: expected real numbers"),
         ({"space": Space("odd", ("a", "b", "c"))}, "expected 2n components, positions first; received 3"),
         ({"space": Space("none", ())}, "expected 2n components, positions first; received 0"),
-        ({"states": STATES[0]}, r"\(trajectories, samples, 4\) of x, y, px, py; received \(3, 4\)"),
+        ({"states": STATES[0]}, r"\(trajectories, samples, 4\), the components x, y, px, py; received"),
         ({"states": STATES[..., :3]}, r"received \(2, 3, 3\)"),
         ({"states": [*STATES.tolist(), [[1.0]]]}, "states: expected numbers in"),
         ({"states": STATES > 3}, "received Tensor of torch.bool"),

@@ -54,7 +54,7 @@ def test_an_epoch_turns_between_clocks_as_these_differ():
     assert Reference("GCRF").on("UT1") == Reference("GCRF", clock="UT1")
     for ours, theirs in (("UTC", "UT1"), ("UT1", "UTC")):
         with pytest.raises(
-            UserError, match=f"time system: expected {ours}, or two of UTC.*received {theirs}"
+            UserError, match=f"time system: expected {ours}, or both of UTC.*received {theirs}"
         ):
             WHOLE._replace(clock=ours).on(theirs)
 

@@ -71,7 +71,7 @@ def test_other_data_are_other_trajectories_unless_they_are_the_same_files():
     changed = "files other than the training data"
     assert SplitData(Twenty(files="a"), THEN).beside(known(files="b")) == changed
     assert SplitData(Twenty(files="a"), THEN).beside(known()) == others
-    with pytest.raises(UserError, match="expected the files of the training and their settings"):
+    with pytest.raises(UserError, match="expected the training files with their settings"):
         SplitData(Twenty(files="a", cut=3), THEN).beside(known(files="a"))
 
 

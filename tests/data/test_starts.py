@@ -54,7 +54,7 @@ def test_velocities_are_no_momenta_of_a_space_that_is_not_mechanical(tmp_path):
         ("t,x,y", "received x, y only. The output of ahnn.assimilate"),
         (
             "t [s],x [rad],y [rad],vx [rad/s],vy [rad/s]",
-            "expected values in m or a compatible unit; rec",
+            "expected values in m or in a compatible unit; rec",
         ),
     ],
 )
@@ -122,7 +122,7 @@ def test_an_epoch_of_a_file_comes_before_that_of_a_model():
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("mean: [1, 2, 3]\n", r"expected one state or several of .x .m., y .m., px .m/s x 2., py .m/s x 2."),
+        ("mean: [1, 2, 3]\n", r"expected one or more states .x .m., y .m., px .m/s x 2., py .m/s x 2."),
         ("sd: [1, 1]\n", "received no mean"),
         ("mean: [1, 2, 3, 4]\nsd: [1, 1]\ncovariance: [[1]]\n", "received both"),
         ("mean: [1, 2, 3, 4]\nmore: 1\n", "received more"),

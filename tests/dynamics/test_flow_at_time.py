@@ -123,7 +123,7 @@ def test_what_is_not_known_is_a_message():
         (TIMES[None], CONTROLS),
     ):
         with pytest.raises(
-            UserError, match=r"expected finite times \(T,\) that increase and controls \(T, 2\); r"
+            UserError, match=r"expected finite, increasing times \(T,\) and controls \(T, 2\); r"
         ):
             steered(PUSHED, times, controls)
     for none in (mass({}), mass({"forcing": {"frequency": 2.0}})):

@@ -79,7 +79,7 @@ def test_a_gradient_module_is_that_of_the_paper():
 
 @pytest.mark.parametrize("name", MAPS)
 def test_a_map_has_one_step(name):
-    with pytest.raises(UserError, match=r"model: expected the step of its training, 0.1; received 0.2"):
+    with pytest.raises(UserError, match=r"model: expected the step used in training, 0.1; received 0.2"):
         made(name)(data().states[:, 0], 0.2)
 
 

@@ -93,7 +93,7 @@ def test_what_was_learned_of_three_bodies_adds_up_for_five():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"dimensions": 4}, "pairs: expected 4 coordinates for each of two bodies or more; received 6"),
+        ({"dimensions": 4}, "pairs: expected 4 coordinates for each of two or more bodies; received 6"),
         ({"dimensions": 3}, "pairs: expected one mass for all coordinates of a body"),
         ({"dimensions": None}, "dimensions: expected coordinates of a body; received None"),
         (

@@ -154,5 +154,5 @@ def test_a_state_of_an_estimator_of_ones_own_is_restored_and_any_other_is_refuse
     ):
         load_state(path)
     twice = given._replace(drawn=cloud())
-    with pytest.raises(ValueError, match="parts of different names; received status, time twice"):
+    with pytest.raises(ValueError, match="parts with different names; received status, time twice"):
         save_state(twice, path)

@@ -71,7 +71,9 @@ def test_one_direction_refutes_bands_that_are_too_narrow_and_else_says_nothing(t
     assert few.scatter == pytest.approx(0.5, rel=0.02)
     assert narrow.scatter == pytest.approx(2.5, rel=0.02)
     assert narrow.verdict == "too narrow"
-    assert few.sentence() == "errors along 1 independent directions are 0.50 deviations: " + few.verdict
+    assert (
+        few.sentence() == "errors along 1 independent directions are 0.50 standard deviations: " + few.verdict
+    )
 
 
 def drawn_errors(directions, rows, width):
@@ -159,8 +161,8 @@ def test_an_evaluation_tells_and_draws_the_band(tmp_path):
         .note.splitlines()[1]
         .startswith("bands of 1, 2 and 3 standard deviations contain 100, 100, 100 %")
     )
-    assert "are 0.50 deviations: too few independent directions to tell)" in findings.rows[0].note
-    assert "times the noise bound (at the bound 0.03 to 2.2" in findings.rows[0].note
+    assert "are 0.50 standard deviations: too few independent directions to tell)" in findings.rows[0].note
+    assert "times the noise bound (0.03 to 2.2" in findings.rows[0].note
     (position, velocity) = findings.numbers["uncertainty"]["usual"]
     assert position == pytest.approx(DirectionTest(1, 1.0).right, abs=0.04)  # one parameter
     assert velocity == pytest.approx(position)

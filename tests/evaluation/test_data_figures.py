@@ -30,7 +30,7 @@ def curve(axes):
 
 def test_an_outlier_has_a_ring_at_its_value_and_its_row_beside_it(tmp_path):
     figure = drawn(tmp_path, np.ones(2000, dtype=bool), [700])
-    rings = [line for line in figure.axes[0].lines if line.get_label() == "finding on a number"]
+    rings = [line for line in figure.axes[0].lines if line.get_label() == "suspicious value"]
     assert [(ring.get_xdata()[0], ring.get_ydata()[0]) for ring in rings] == [
         (7.0, pytest.approx(3 + np.sin(7)))
     ]

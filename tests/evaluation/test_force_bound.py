@@ -151,7 +151,7 @@ def test_the_mass_is_unknown_where_velocities_are_learned():
 def test_a_row_says_the_bound_where_it_is_known(tmp_path):
     case = dataclasses.replace(case_of(tmp_path), flow=Learned())
     row = evaluate(case, {}, figures=False).rows[0]
-    assert "times the bound for the true force with unknown stiffness, mass and starts" in row.note
+    assert "times the bound for the true force with unknown stiffness, mass and initial states" in row.note
     assert row.extra["force_bound"]["constants"] == ["stiffness", "mass"]
     assert row.extra["force_bound"]["efficiency"][0] > 1
     without = evaluate(dataclasses.replace(case, learned_from=None), {}, figures=False).rows[0]

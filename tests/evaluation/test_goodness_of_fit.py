@@ -80,7 +80,7 @@ def test_gaps_are_no_residuals_and_what_is_not_met_is_counted():
     spoilt = explain(Spring(SPRING), batch._replace(values=values))
     assert (spoilt.lost, spoilt.trajectories) == (1, len(values))
     assert not spoilt.consistent
-    assert "not explained" in spoilt.sentence()
+    assert "not fitted" in spoilt.sentence()
 
 
 def test_nothing_explained_is_said_in_words():

@@ -50,7 +50,7 @@ def test_outliers_are_named_where_the_training_counted_them(factor):
     assert len(said) == (1 if factor == 1 else 2)
     share, _, rest = said[-1].partition(" % of the values are outliers, ")
     assert float(share) == pytest.approx(5, abs=1.5)
-    assert rest == "which loss.robust=student downweights and data.tails=estimate models"
+    assert rest == "set loss.robust=student to downweight them, or data.tails=estimate to model them"
     assert "outliers" not in remedy(Spring(SPRING), batch, "student")
 
 

@@ -75,7 +75,7 @@ FOUND = NoiseEstimate(
 def test_an_estimate_is_said_in_words_with_the_options_of_filters():
     size, colour, told, left = FOUND.sentences(("q1", "q2"), ("rad", "m"))
     assert "q1 0.01 rad (0.33 times the initial value), q2 0.2 m (1 times" in size
-    assert "64 % of the noise of q1 over 0.5" in colour
+    assert "64 % of the noise variance of q1 over times of 0.5" in colour
     assert (
         "measurement.sd=[0.006,0.2] measurement.bias_sd=[0.008,0] measurement.bias_memory=[0.5,1]" in colour
     )

@@ -57,7 +57,7 @@ def test_they_measure_as_one_by_one_with_their_biases_masks_and_noise(file):
         (
             "range: 0.05",
             "rnage: 0.05",
-            "kiruna.noise: expected range, azimuth, elevation, range_rate; received",
+            "kiruna.noise: expected one of range, azimuth, elevation, range_rate; received",
         ),
         ("azimuth: 0.01", "azimuth: -1", "kiruna.noise.azimuth: expected a number > 0; received -1"),
         ("longitude: 2.5, ", "", "troll: "),
@@ -67,7 +67,7 @@ def test_they_measure_as_one_by_one_with_their_biases_masks_and_noise(file):
             "bias: {range: 1}",
             "noise: expected standard deviations of one or more",
         ),
-        (TEXT, "kiruna: here", "kiruna: expected [latitude, longitude, height], degrees and m, or keys"),
+        (TEXT, "kiruna: here", "kiruna: expected [latitude, longitude, height] in degrees and m, or keys"),
     ],
 )
 def test_what_is_wrong_is_said(file, old, new, said):

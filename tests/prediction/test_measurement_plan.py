@@ -117,7 +117,7 @@ def test_sessions_of_stations_are_within_their_passes_and_no_longer(tmp_path, mo
     assert all("2024-03-01T12:00:00" <= row["begin"] <= row["end"] <= "2024-03-02T12:00:00" for row in rows)
     spreads = [float(row["sd_after [km]"]) for row in rows]
     assert all(after < before for before, after in itertools.pairwise(spreads))
-    assert "sd of position [km]" in capsys.readouterr().out
+    assert "position sd [km]" in capsys.readouterr().out
     (tmp_path / "plan.csv").write_text("not ours\n")
     assert call("ahnn.plan", *ASKED, *words) == 2
     assert (tmp_path / "plan.csv").read_text() == "not ours\n"

@@ -127,7 +127,7 @@ def test_several_trainings_show_their_spread_and_a_picture(here, cache, capsys, 
 def test_a_start_with_standard_deviations_has_a_band_that_goes_along_with_it(here, cache, caplog):
     arguments = [MOLNIYA, START, "duration=1d", "step=1d", "output=orbit.csv"]
     assert call("ahnn.predict", *arguments, "start_sd=[1,0.001]") == 0
-    assert "from the start only; these weights carry no uncertainty of the dynamics" in caplog.text
+    assert "from the start only; these weights carry no uncertainty in the dynamics" in caplog.text
     first, last = rows(here / "orbit.csv")
     known = [float(first[f"sd_{name}"]) for name in ("x [km]", "z [km]", "vy [km/s]")]
     assert known == pytest.approx([1, 1, 0.001], rel=1e-15)

@@ -183,7 +183,7 @@ def test_a_model_without_controls_takes_none(capsys):
 def test_a_unit_of_a_control_is_said_not_to_be_converted(tmp_path, caplog):
     (tmp_path / "c.csv").write_text("t,u [kN]\n0,1\n")
     read_controls(tmp_path / "c.csv", Space("made", ("q", "p"), controls=("u",)))
-    assert "not converted, assumed to be in the units of the training data: u [kN]" in caplog.text
+    assert "not converted, but assumed to be in the units of the training data: u [kN]" in caplog.text
 
 
 def test_weights_whose_controls_are_not_those_of_the_space_are_refused(pushed, tmp_path):

@@ -51,7 +51,7 @@ def deviations(row):
         ({"center": "MARS"}, ["frame=[GCRF,EARTH]"], "expected centre EARTH, as in the model"),
         ({}, ["frame=[TEME,EARTH]"], "expected frame TEME, as in the model; received EME2000"),
         ({"frame": "TNW"}, ["frame=[GCRF]"], "expected frame GCRF, as in the model; received TNW"),
-        ({"clock": "UT1"}, ["frame=[EME2000,EARTH,UTC]"], "time system: expected UT1, or two of UTC"),
+        ({"clock": "UT1"}, ["frame=[EME2000,EARTH,UTC]"], "time system: expected UT1, or both of UTC"),
         ({}, ["epoch=2024-03-01T12:00:00"], "epoch: expected none, since the start file has its own"),
         ({"axes": "TNW"}, [], "expected a covariance in EME2000 or RTN; received one in TNW"),
     ],
@@ -99,7 +99,7 @@ def test_the_covariance_of_the_first_state_goes_along_and_start_sd_takes_its_pla
     )
     assert call("ahnn.predict", MOLNIYA, "start=a.yaml", *SHORT, "output=b.csv", "start_sd=[5,0.1]") == 0
     assert deviations(first("b.csv"))[0] == pytest.approx(5)
-    assert "start_sd: replaces the covariance of a.yaml" in caplog.text
+    assert "start_sd replaces the covariance in a.yaml" in caplog.text
     assert first("b.csv")["epoch"] == "2024-03-01T12:00:00.000"
 
 

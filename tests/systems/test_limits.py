@@ -46,7 +46,7 @@ def test_a_parameter_that_makes_no_physics_is_refused_by_name(system, name, valu
 def test_the_message_says_what_was_expected():
     for name, value, expected in (
         ("altitude", [-9000, -8000], "orbits above the centre of the body, at -6378.1363 km"),
-        ("eccentricity", [0.2, 0.1], "a range [low, high], low <= high, of numbers >= 0 and < 1"),
+        ("eccentricity", [0.2, 0.1], "a range [low, high] of numbers >= 0 and < 1, with low <= high"),
         ("j2", inf, "float (finite)"),
     ):
         with pytest.raises(UserError) as refused:

@@ -65,10 +65,10 @@ def test_an_orbit_is_found_and_written(folder, tmp_path, capsys):
         (["forces.gravity.field=nowhere.gfc"], "nowhere.gfc: expected a file with a gravity field"),
         (["forces.gravity.degree=40"], "degree: expected 0 to 12 for EIGEN-6S; received 40"),
         (["forces.drag=heavy"], "forces.drag: expected a mapping of keys to values; received 'heavy'"),
-        (["stations.south=[1,2]"], "stations.south: expected [latitude, longitude, height], degrees and m"),
-        (["stations.west=[1,2,3]"], "stations.west: expected a station of seen.aer"),
+        (["stations.south=[1,2]"], "stations.south: expected [latitude, longitude, height] in degrees and m"),
+        (["stations.west=[1,2,3]"], "stations.west: expected a station in seen.aer"),
         (["sinex=[a.snx]"], "stations: expected coordinates under `stations`, or files"),
-        (["object=other"], "object: expected one of seen.aer"),
+        (["object=other"], "object: expected one object in seen.aer"),
         (["measurements=nowhere.aer"], "nowhere.aer"),
         (["held_out=1"], "held_out: expected float from 0 to 0.9; received 1"),
         (["corrections.troposphere=wet"], "corrections.troposphere: expected one of none, radio, laser"),
@@ -108,7 +108,7 @@ def test_w3b_is_fitted_as_well_as_by_orekit_and_its_future_is_known_to_within_wh
     assert sds["range"] <= 4.37
     assert sds["azimuth"] <= 0.0101
     assert sds["elevation"] <= 0.0116
-    leak, sd = map(float, re.search(r"at its start, .*?: (\S+) ± (\S+),", said).groups())
+    leak, sd = map(float, re.search(r"at the start, .*?: (\S+) ± (\S+),", said).groups())
     assert abs(leak - 8.005e-6) < 2 * sd < 1.6e-5
     learned, plain = map(float, re.findall(r"all (\d+\.\d) % of 165", said))
     assert 90 <= learned <= 99

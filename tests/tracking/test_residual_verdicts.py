@@ -31,7 +31,7 @@ def test_a_bias_a_drift_a_wide_scatter_and_likeness_are_said():
     assert "its prior is too narrow" in said(WHITE + 2e-3, bias=(0.0, 1e-6))
     drift = said(WHITE + 2e-3 * (T - T.mean()) / 3600 / 2)
     assert "drifts by +1 m an hour" in drift or "drifts by +0.9" in drift or "drifts by +1." in drift
-    assert "scatters 4" in said(4 * WHITE / WHITE.std() * 1e-3 - 4e-3 * WHITE.mean() / WHITE.std())
+    assert "the scatter is 4" in said(4 * WHITE / WHITE.std() * 1e-3 - 4e-3 * WHITE.mean() / WHITE.std())
     wave = 1e-3 * np.sin(T / 900.0)
     assert "successive residuals correlate" in said(wave)
 

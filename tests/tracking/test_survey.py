@@ -95,7 +95,7 @@ def test_a_noisy_pass_and_a_short_one_have_no_outliers():
             "d.snx",
             SINEX,
             [
-                "d.snx: positions of stations: 1, eccentricities: 1",
+                "d.snx: station positions: 1, eccentricities: 1",
                 "RBIAS of",
                 "(SINEX): 0 faults",
             ],

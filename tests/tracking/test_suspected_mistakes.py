@@ -42,7 +42,7 @@ def test_nothing_is_named_of_noise(right):
 
 
 @pytest.mark.parametrize(
-    ("factor", "said"), [(np.pi / 180, "radians are taken as degrees"), (180 / np.pi, "degrees for radians")]
+    ("factor", "said"), [(np.pi / 180, "radians given as degrees"), (180 / np.pi, "degrees given as radians")]
 )
 def test_angles_in_another_unit_are_named(right, factor, said):
     assert said in named(with_angles(right, factor), fitted=False)

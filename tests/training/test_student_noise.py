@@ -157,7 +157,7 @@ def test_tails_are_found_with_the_dynamics_and_bands_become_as_wide_as_errors():
     assert right is not None
     close(found.covariance, right.covariance, 0.15)
     (said,) = noise.sentences(("q",), ("m",))
-    assert said.startswith("the noise of q is Student's with ")
+    assert said.startswith("the noise of q follows Student's t with ")
 
 
 def test_normal_noise_leaves_the_fit_of_squares():
@@ -201,4 +201,4 @@ def test_an_estimate_keeps_tails_for_the_evaluation():
     assert seen.freedom.tolist() == [3.0, math.inf]
     said = noise.sentences(("q", "p"), ("m", "m/s"))
     assert said[0].endswith("its standard deviation, for filters, is 1.73 m")
-    assert said[1].startswith("tails of the noise of p cannot be distinguished")
+    assert said[1].startswith("noise tails of p cannot be distinguished")

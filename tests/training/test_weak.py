@@ -206,7 +206,9 @@ def test_acceleration_is_refused_where_no_stage_knows_a_bend():
     optimizer = LevenbergMarquardt(Swing().parameters(), acceleration=True)
     for name in ("relative", "weak", "whole", 16):
         optimizer.check([objective_of(name, "none")])
-    with pytest.raises(UserError, match=r"optimizer.acceleration: expected stages .* received windows"):
+    with pytest.raises(
+        UserError, match=r"optimizer.acceleration: expected a loss on measurements .* received windows"
+    ):
         optimizer.check([Recursive(Loss(2, LossOptions()), 5)])
 
 

@@ -86,7 +86,7 @@ def diagnosis(contents: Sequence[Content], mass: float | Sequence[float] | None,
         judged = list(whole.tracks[:: -(-len(whole.tracks) // JUDGED)])
         found += sample_findings(whole, gap)
         if content.momenta and mass is None:
-            what, remedy = "momenta of an unspecified mass", "system.mass=..., in kg"
+            what, remedy = "momenta without a stated mass", "system.mass=..., in kg"
             found.append(Finding("fault", file, content.head, content.rates[0], what, remedy))
         else:
             found += velocity_findings(whole, judged, mass or 1.0)
@@ -98,6 +98,6 @@ def diagnosis(contents: Sequence[Content], mass: float | Sequence[float] | None,
 def clash(first: Content, other: Content) -> list[Finding]:
     """Describe how a file differs from the first one, with which it would be read."""
     wrong = [name for name in KINDS if getattr(first, name) != getattr(other, name)]
-    expected = f"the {', '.join(wrong)} of {first.tracks[0].file}"
+    expected = f"the same {' and '.join(wrong)} as in {first.tracks[0].file}"
     place = Place(other.tracks[0].file, other.head)
     return [Finding.of(Fault(place, expected, "different ones", "Read it separately"))] if wrong else []

@@ -75,7 +75,9 @@ def orbit_findings(content: Content, tracks: list[Track]) -> list[Finding]:
     if len(found) > 0.9 * len(tracks):
         found = [(found[0][0]._replace(rows=np.full(1, content.head)), found[0][1])]
     return [
-        Finding("fault", track.file, int(track.rows[0]), place, f"not an orbit of the {name}: {said}", remedy)
+        Finding(
+            "fault", track.file, int(track.rows[0]), place, f"not an orbit around the {name}: {said}", remedy
+        )
         for track, said in found
     ]
 

@@ -64,7 +64,7 @@ def gaps(track: Track, column: str, gap: float) -> Iterator[Finding]:
     there = np.flatnonzero(rows)
     for k in np.flatnonzero(np.diff(there) > 1):
         absent = int(there[k + 1] - there[k] - 1)
-        what = f"a gap: {absent} {'sample is' if absent == 1 else 'samples are'} missing before it"
+        what = f"a gap: {absent} {'sample is' if absent == 1 else 'samples are'} missing before this one"
         remedy = "Nothing to do: no window crosses it"
         yield Finding("warning", track.file, int(rows[there[k + 1]]), column, what, remedy)
 
@@ -89,11 +89,13 @@ def too_few(contents: Sequence[Content]) -> Iterator[Finding]:
         return
     file, head, column = tracks[0].file, contents[0].head, contents[0].time
     if max(len(track.times) for track in tracks) < 2:
-        what = "one sample in each trajectory, so no step to learn from"
-        yield Finding("fault", file, head, column, what, "Give more samples of a trajectory")
+        what = "only one sample in each trajectory, so there is no step to learn from"
+        yield Finding("fault", file, head, column, what, "Give more samples per trajectory")
     elif len(tracks) == 1:
-        what = "a single trajectory, for training, validation and test"
-        yield Finding("warning", file, head, "", what, "Cut it: system.cut=SAMPLES; or give more")
+        what = "only one trajectory for training, validation and test"
+        yield Finding(
+            "warning", file, head, "", what, "Cut it with system.cut=SAMPLES, or give more trajectories"
+        )
 
 
 def outliers(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
@@ -143,7 +145,7 @@ def runs_of_outliers(content: Content, names: tuple[str, ...]) -> Iterator[Findi
                         f"{off[first : last + 1].max():.2g} times the spread of the file away from all "
                         "other values"
                     )
-                    remedy = "Correct them (another unit?), or leave the cells empty"
+                    remedy = "Correct them (is their unit different?), or leave the cells empty"
                     yield Finding("warning", track.file, int(rows[0]), name, what, remedy)
 
 

@@ -98,7 +98,8 @@ def of_component(content: Content, c: int, pairs: list[tuple[Track, VelocityComp
 def misfit(one: VelocityComparison, c: int, *, orbit: bool = False) -> float | None:
     """Return 1 for a correct velocity, else its ratio to the derivative (0 if not proportional).
 
-    Returns None if undetermined. Components of an orbit are also compared with its speed.
+    Returns None if undetermined. For orbits, the velocity components are also compared with the
+    orbital speed.
     """
     exact = OF_SPEED * float(np.median(np.linalg.norm(one.derived, axis=1))) if orbit else 0.0
     stated, derived, doubts = (part[:, c] for part in one)
@@ -133,9 +134,9 @@ def finding(content: Content, c: int, file: str, row: int, ratio: float) -> Find
     level: Level = "warning" if content.momenta else "fault"
     kind = f"{name} over the mass" if content.momenta else name
     if ratio == 0:
-        what = f"{kind} is not the change of {position} per {per}, nor proportional to it"
+        what = f"{kind} is neither the change in {position} per {per} nor proportional to it"
         return Finding(level, file, row, name, what, "Give both in one inertial frame")
-    what = f"{kind} is {ratio:.4g} times the change of {position} per {per}"
+    what = f"{kind} is {ratio:.4g} times the change in {position} per {per}"
     size = abs(ratio) if abs(ratio) > 1 else 1 / abs(ratio)
     for factor, hint in FACTORS.items():
         if abs(size / factor - 1) < EXACT and ratio > 0:

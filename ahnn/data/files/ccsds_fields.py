@@ -96,7 +96,7 @@ def field_messages(text: str, file: str, name: str) -> list[FieldMessage]:
         place = Place(file, row)
         cells = LINE.fullmatch(line)
         if cells is None:
-            place.refuse(f"KEYWORD = value of {ABOUT[name]}", repr(line))
+            place.refuse(f"KEYWORD = value in {ABOUT[name]}", repr(line))
         if cells["key"] == version:
             _require_version(cells["value"], name, place)
             found.append(FieldMessage(place, ABOUT[name]))
@@ -112,7 +112,7 @@ ABOUT = {"OPM": "an orbit parameter message (OPM)", "OMM": "an orbit mean-elemen
 
 def _require_version(text: str, name: str, place: Place) -> None:
     if text not in VERSIONS:
-        place.refuse(f"version {', '.join(VERSIONS)} of {ABOUT[name]}", repr(text))
+        place.refuse(f"{ABOUT[name]}, version {', '.join(VERSIONS[:-1])} or {VERSIONS[-1]}", repr(text))
 
 
 def _of_xml(text: str, file: str, name: str) -> list[FieldMessage]:
@@ -129,9 +129,9 @@ def _of_xml(text: str, file: str, name: str) -> list[FieldMessage]:
             _require_version(given.get("version", "2.0"), name, place)
             found.append(FieldMessage(place, ABOUT[name]))
         elif tag not in STRUCTURE and not (found and path and path[-1] in STRUCTURE):
-            place.refuse(ABOUT[name], f"<{tag}> in it")
+            place.refuse(ABOUT[name], f"one with <{tag}>")
         elif tag in ("opm", "omm", "segment") and tag in path:
-            place.refuse(ABOUT[name], f"<{tag}> in <{tag}>")
+            place.refuse(ABOUT[name], f"one with <{tag}> in <{tag}>")
         path.append(tag)
         texts.append("")
         attributes.append(given)

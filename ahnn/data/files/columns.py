@@ -13,7 +13,7 @@ from ahnn.data.files.table import Header, Place
 TIMES, IDS = ("t", "time"), ("id", "trajectory")
 Kind = Literal["velocities", "momenta"]
 ROLES = ("time", "id", "positions", "velocities", "momenta", "controls")
-SIDECAR = "Name the columns in a sidecar, docs/data.md"
+SIDECAR = "Name the columns in a sidecar (docs/data.md)"
 NAMES: dict[Kind, tuple[str, ...]] = {
     "velocities": (
         *("v{}", "vel{}", "velocity{}", "{}vel", "{}velocity"),
@@ -94,7 +94,7 @@ def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
     time = [i for i, name in enumerate(names) if name.lower() in TIMES]
     ids = [i for i, name in enumerate(names) if name.lower() in IDS]
     if len(time) != 1 or len(ids) > 1:
-        expected = f"one column {' or '.join(TIMES)} and at most one {' or '.join(IDS)}"
+        expected = f"one column named {' or '.join(TIMES)}, and at most one named {' or '.join(IDS)}"
         place.refuse(expected, ", ".join(names), SIDECAR)
     rest = [i for i in range(len(names)) if i not in (*time, *ids) and not is_deviation(names[i])]
     controls = [i for i in rest if CONTROL.fullmatch(names[i].lower())]
@@ -105,17 +105,19 @@ def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
     rates = {position: i for i, (position, _) in moving.items()}
     kinds: list[Kind] = list({kind for _, kind in moving.values()})
     if not positions:
-        place.refuse("columns of positions", ", ".join(names), SIDECAR)
+        place.refuse("position columns", ", ".join(names), SIDECAR)
     if len(kinds) > 1 or len(rates) < len(moving) or not rates.keys() <= {*positions}:
         received = ", ".join(names[i] for i in moving)
-        place.refuse("a velocity or a momentum of each position", received, SIDECAR)
+        place.refuse("a velocity or a momentum for each position", received, SIDECAR)
     for i in positions:
         if i not in rates and NO_POSITION.fullmatch(names[i].lower()):
             place._replace(column=names[i]).refuse("the name of a position", repr(names[i]), SIDECAR)
         if rates and i not in rates:
             known = ", ".join(names[k] for k in rates.values())
             remedy = f"If it is something else: {SIDECAR[0].lower()}{SIDECAR[1:]}"
-            place._replace(column=names[i]).refuse(f"its {kinds[0]}, as there is {known}", "none", remedy)
+            place._replace(column=names[i]).refuse(
+                f"{kinds[0]} for all positions, like {known}", "none", remedy
+            )
     ordered = tuple(rates[i] for i in positions) if rates else ()
     kind = kinds[0] if kinds else "velocities"
     return Roles(time[0], ids[0] if ids else None, positions, ordered, kind, tuple(controls))
@@ -169,13 +171,13 @@ def of_sidecar(names: tuple[str, ...], named: dict[str, Any], place: Place) -> R
     found: dict[str, list[int]] = {}
     for role, value in named.items():
         if role not in ROLES:
-            place.refuse(f"columns of {', '.join(ROLES)}", repr(role) + nearest(role, ROLES))
+            place.refuse(f"one of the roles {', '.join(ROLES)}", repr(role) + nearest(role, ROLES))
         columns = [str(v) for v in value] if isinstance(value, list) else [str(value)]
         for column in columns:
             if column not in names:
                 place.refuse(f"a column {column!r} ({role})", ", ".join(names) + nearest(column, names))
             if any(names.index(column) in known for known in found.values()):
-                place._replace(column=column).refuse("one role in the sidecar", f"another, {role}")
+                place._replace(column=column).refuse("one role in the sidecar", f"a second one, {role}")
             found.setdefault(role, []).append(names.index(column))
     single = [len(found.get(role, [])) for role in ("time", "id")]
     kind: Kind = "momenta" if "momenta" in found else "velocities"
@@ -188,7 +190,7 @@ def of_sidecar(names: tuple[str, ...], named: dict[str, Any], place: Place) -> R
         or len(rates) not in (0, len(positions))
         or ({"velocities", "momenta"} <= found.keys())
     ):
-        expected = "one time, at most one id, positions, and as many velocities or momenta"
+        expected = "one time, at most one id, positions, and equally many velocities or momenta"
         place.refuse(expected, ", ".join(f"{role}: {named[role]}" for role in named))
     whose, controls = next(iter(found.get("id", [])), None), tuple(found.get("controls", []))
     return Roles(found["time"][0], whose, tuple(positions), tuple(rates), kind, controls)

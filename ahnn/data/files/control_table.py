@@ -45,7 +45,7 @@ def read_controls(path: Path, space: Space) -> ControlTable:
     said = sidecar.Sidecar() if aside is None else sidecar.parse(decoded(aside, beside), str(beside))
     if said.columns or said.frame:
         place = Place(str(beside))
-        place.refuse("units and controls in the sidecar of a file of controls", "columns or frame")
+        place.refuse("only units and controls in the sidecar of a control file", "columns or frame")
     sheet = sheet._replace(header=sidecar.with_units(sheet.header, said, sheet.place))
     times, unit = _times(sheet, space)
     names = [control_named(name, space.controls) for name in sheet.header.names]
@@ -53,7 +53,7 @@ def read_controls(path: Path, space: Space) -> ControlTable:
         sheet.place.refuse("a row for each change of a control", "only a header")
     for name in space.controls:
         if names.count(name) != 1:
-            expected = f"columns {', '.join(space.controls)}, the controls"
+            expected = f"the control columns {', '.join(space.controls)}"
             sheet.place.refuse(expected, ", ".join(sheet.header.names))
     if others := [name for name in names if name not in (unit, *space.controls)]:
         refuse(
@@ -63,7 +63,7 @@ def read_controls(path: Path, space: Space) -> ControlTable:
         )
     units = {name: sheet.header.units[names.index(name)] for name in space.controls}
     if given := [f"{name} [{unit}]" for name, unit in units.items() if unit]:
-        what = f"not converted, assumed to be in the units of the training data: {', '.join(given)}"
+        what = f"not converted, but assumed to be in the units of the training data: {', '.join(given)}"
         refuse(Remark(sheet.place, what, level="warning"))
     columns = [_column(sheet, names.index(name)) for name in space.controls]
     values = torch.from_numpy(np.stack(columns, axis=1))
@@ -75,7 +75,7 @@ def _times(sheet: Sheet, space: Space) -> tuple[Array, str]:
     names, place = sheet.header.names, sheet.place
     found = [k for k, name in enumerate(names) if name.lower() in TIMES]
     if len(found) != 1:
-        place.refuse(f"one column {' or '.join(TIMES)}", ", ".join(names))
+        place.refuse(f"one column named {' or '.join(TIMES)}", ", ".join(names))
     name, given = names[found[0]], sheet.header.units[found[0]]
     times = _column(sheet, found[0])
     if given is not None:
@@ -87,7 +87,7 @@ def _times(sheet: Sheet, space: Space) -> tuple[Array, str]:
     late = np.flatnonzero(~(np.diff(times) > 0))
     if len(late):
         row = int(sheet.rows[late[0] + 1])
-        Place(place.file, row, name).refuse("times that increase", f"{times[late[0] + 1]:g}")
+        Place(place.file, row, name).refuse("increasing times", f"{times[late[0] + 1]:g}")
     return times, name
 
 

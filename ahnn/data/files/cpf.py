@@ -39,9 +39,9 @@ UNUSED = {
     "h5": "distance of the reflectors from the centre of mass",
     "30": "light-path corrections",
     "40": "transponders",
-    "50": "offsets of the target",
-    "60": "rotation of the satellite",
-    "70": "orientation of the Earth",
+    "50": "target offsets",
+    "60": "satellite rotation",
+    "70": "Earth orientation",
 }
 
 
@@ -77,7 +77,7 @@ def cpf_content(text: str, file: str, *, weighed: bool, note: Note = refuse) -> 
                     raise
                 note(fault)
     if not reader.rows:
-        Place(file).refuse("positions (records 10) of a prediction (CPF)", "none")
+        Place(file).refuse("positions (records 10) of a laser ranging prediction (CPF)", "none")
     if not reader.ended:
         note(Fault(Place(file), "record 99 at the end", "none", "The file is cut off"))
     if reader.unused:
@@ -113,15 +113,15 @@ class _CpfReader:
         elif key in UNUSED:
             self.unused[UNUSED[key]] = None
         elif key != "h9":
-            place.refuse("a record of a prediction (CPF)", repr(line[:40]))
+            place.refuse("a CPF record", repr(line[:40]))
 
     def format(self, cells: list[str], place: Place) -> None:
         """Read record H1: version and name of the satellite."""
         if cells[:1] not in (["CPF"], ["cpf"]) or cells[1:2] not in (["1"], ["2"], ["01"], ["02"]):
-            place.refuse("CPF of version 1 or 2", repr(" ".join(cells[:2])))
-        at = 8 + int(cells[1]) - 1  # version 2 includes the number of a prediction within its day
+            place.refuse("CPF version 1 or 2", repr(" ".join(cells[:2])))
+        at = 8 + int(cells[1]) - 1  # version 2 adds the sequence number of the prediction within its day
         if len(cells) <= at:
-            place.refuse("source, date, numbers and the name of a satellite", repr(" ".join(cells)))
+            place.refuse("source, date, numbers and satellite name", repr(" ".join(cells)))
         self.name = cells[at]
 
     def frame(self, cells: list[str], place: Place) -> None:
@@ -133,7 +133,9 @@ class _CpfReader:
                 "positions in a frame that rotates with the Earth (0)", FRAMES.get(cells[18], cells[18])
             )
         if len(cells) > 20 and cells[20] == "1":
-            self.unused["that positions are of the reflectors and not of the centre of mass"] = None
+            self.unused["the flag that positions refer to the reflectors instead of the centre of mass"] = (
+                None
+            )
         self.headed = True
 
     def position(self, cells: list[str], place: Place) -> None:
@@ -148,7 +150,7 @@ class _CpfReader:
             place.refuse("no leap second (0)", repr(cells[3]))
         day = within(cells[1], place, FIRST_DAY, LAST_DAY)
         if day != int(day):
-            place.refuse("a whole day of the modified Julian date", repr(cells[1]))
+            place.refuse("a modified Julian date in whole days", repr(cells[1]))
         seconds = within(cells[2], place, 0.0, 86401.0)
         place_of = [within(cell, place, -FARTHEST, FARTHEST) / 1000 for cell in cells[4:7]]
         start = epochs.instant(date.fromordinal(MJD + int(day)).isoformat(), utc=True)

@@ -33,9 +33,7 @@ FIELDS: tuple[tuple[str, int, slice, re.Pattern[str], float], ...] = (
     ("mean motion", 1, slice(52, 63), ANGLE, 20.0),
 )
 """Fields read by SGP4: line, columns, notation, and maximum; ephemeris type 4 belongs to SGP4-XP."""
-UNUSED = (
-    "not used: names, classes, designators, derivatives of the mean motion, numbers of sets and revolutions"
-)
+UNUSED = "not used: names, classes, designators, mean motion derivatives, set and revolution numbers"
 """Fields not needed by SGP4."""
 
 
@@ -68,7 +66,7 @@ def content(
     Raises:
         UserError: no step or duration, no set, or errors of `note`.
     """
-    expected = "an element set, lines that begin with 1 and 2"
+    expected = "an element set, whose lines begin with 1 and 2"
     read = partial(orbits_of, text, file)
     names = {"named": "element sets", "expected": expected, "unused": UNUSED}
     return sgp4_content(read, file, (step, duration), weighed=weighed, note=note, **names)
@@ -102,7 +100,7 @@ def sets_of(text: str, file: str, note: Note) -> list[ElementSets]:
             pending = row, line[:LENGTH]
         elif pending is None or pending[1][2:7] != line[2:7]:
             before = "none" if pending is None else repr(pending[1][2:7])
-            note(Fault(place, f"a line 1 of {line[2:7]!r} before it", before))
+            note(Fault(place, f"a line 1 for {line[2:7]!r} before it", before))
             pending = None
         else:
             if not damaged & {pending[0], row}:

@@ -122,7 +122,7 @@ class MessageBlock:
 def check_version(text: str, place: Place) -> None:
     """Raise UserError for an unknown message version."""
     if text not in VERSIONS:
-        place.refuse(f"version {', '.join(VERSIONS)} of an OEM", repr(text))
+        place.refuse(f"OEM version {', '.join(VERSIONS[:-1])} or {VERSIONS[-1]}", repr(text))
 
 
 def ephemeris(block: MessageBlock, note: Note = refuse) -> Ephemeris:
@@ -137,7 +137,7 @@ def ephemeris(block: MessageBlock, note: Note = refuse) -> Ephemeris:
     """
     for key in REQUIRED:
         if not block.meta.get(key):
-            block.place._replace(column=key).refuse("a value in the metadata of a segment", "none")
+            block.place._replace(column=key).refuse("a value in the segment metadata", "none")
     file, system = block.place.file, canonical(block.meta["TIME_SYSTEM"].upper())
     utc, frame = system == "UTC", canonical(block.meta["REF_FRAME"].upper())
     rows, moments, states = [], [], []
@@ -191,9 +191,9 @@ def useable(block: MessageBlock, moments: list[int], note: Note, *, utc: bool) -
             note(Remark(block.place, what, "Correct the metadata, or leave the states out", "warning"))
         elif count:
             if count == len(moments):
-                block.place.refuse(f"a state from {span}", "none")
+                block.place.refuse(f"a state between {names[0]} and {names[1]}", "none")
             chosen = inside
-            note(Remark(block.place, f"{count} of {len(moments)} states not used, outside {span}"))
+            note(Remark(block.place, f"{count} of {len(moments)} states are outside {span} and not used"))
     return chosen
 
 
@@ -214,7 +214,7 @@ def remarks(blocks: list[MessageBlock], *, covariances: bool = True) -> list[Rem
             names["covariances"] = None
         for key in block.meta:
             if key not in (*USED, *UNUSED):
-                what = f"{key} is not a keyword of an OEM, and is not used{nearest(key, USED)}"
+                what = f"{key} is not an OEM keyword and is ignored{nearest(key, USED)}"
                 found.append(Remark(block.place, what, "Correct its name, or leave it out", "warning"))
     if names:
         found.append(Remark(Place(blocks[0].place.file), f"not used: {', '.join(names)}"))
@@ -226,7 +226,7 @@ def covariance(block: MessageBlock, k: int, start: int, *, utc: bool) -> Covaria
     row, epoch, frame, cells = block.matrices[k]
     place = Place(block.place.file, row, "EPOCH")
     if len(cells) != 21:
-        place.refuse("the 21 numbers of a lower triangle of a covariance", f"{len(cells)}")
+        place.refuse("the 21 numbers of the lower triangle of a covariance", f"{len(cells)}")
     frame = canonical(frame.upper())
     matrix = np.zeros((6, 6))
     matrix[np.tril_indices(6)] = values(cells, ("covariance",) * 21, place)

@@ -67,7 +67,7 @@ def _offset(found: re.Match[str], *, utc: bool) -> int:
         return 0
     ahead, rest = int(found["ahead"]), int(found["rest"] or 0)
     if ahead > 15 or rest > 59 or found["hour"] is None:
-        message = "an offset from UTC such as +02:00 after a time"
+        message = "a UTC offset such as +02:00 after a time"
         raise ValueError(message)
     if (ahead or rest) and not utc:
         message = "an epoch without an offset, since its time scale is not UTC"
@@ -87,10 +87,10 @@ def _days(found: re.Match[str]) -> int:
             return date(int(found["year"]), int(found["month"]), int(found["day"])).toordinal()
         day = date(int(found["year"]), 1, 1) + timedelta(days=int(found["number"]) - 1)
     except ValueError as error:
-        message = "a date of the calendar"
+        message = "a calendar date"
         raise ValueError(message) from error
     if day.year != int(found["year"]):
-        message = "a date of the calendar"
+        message = "a calendar date"
         raise ValueError(message)
     return day.toordinal()
 

@@ -14,7 +14,7 @@ SPELLINGS = {
     **{clock: clock for clock in ("UTC", "TAI", "GPS", "TT", "TDB")},
 }
 """Canonical name for each capitalised synonym of frames, centres and time scales."""
-SIDECAR = "Set it with the key frame of a sidecar"
+SIDECAR = "Set it with the key frame in a sidecar"
 ROTATING = ("ITRF", "ECEF", "EFG", "GTOD", "GRC", "TDR", "WGS")
 """Prefixes of the names of Earth-fixed frames."""
 

@@ -45,19 +45,20 @@ def turned(content: Content, frame: str, file: str) -> Content:
     if given == frame:
         return content
     if not given:
-        expected = f"a frame that can be converted to {frame}: {', '.join((*NAMES, 'ITRF'))}"
+        expected = f"a frame that can be converted to {frame}: one of {', '.join((*NAMES, 'ITRF'))}"
         place.refuse(expected, content.frame or "none", "" if content.frame else SIDECAR)
     centre = [word for word in content.frame.upper().split(", ")[1:2] if word in CENTRES]
     if given not in INERTIAL and centre not in ([], ["EARTH"]):
         place.refuse(f"the Earth as the centre of {given}", centre[0])
     if content.momenta or len(content.positions) != 3 or unit(content.units.position).dimension != LENGTH:
         place.refuse(
-            "three lengths, with or without velocities", ", ".join((*content.positions, *content.rates))
+            "three coordinates in a unit of length, with or without velocities",
+            ", ".join((*content.positions, *content.rates)),
         )
     if content.epoch is None:
         place._replace(column=content.time).refuse("epochs such as 2024-03-01T12:00:00", "numbers")
     if content.clock not in TO_TT:
-        place.refuse(f"epochs of {', '.join(TO_TT)}", content.clock)
+        place.refuse(f"epochs in one of the time scales {', '.join(TO_TT)}", content.clock)
     rest = content.frame.partition(",")
     tracks = tuple(of_track(track, content, given, frame) for track in content.tracks)
     return content._replace(frame=f"{frame}{rest[1]}{rest[2]}", tracks=tracks)

@@ -39,8 +39,8 @@ ABOUT: dict[Kind, str] = {
     "tdm": "a tracking data message (TDM)",
     "crd": "laser ranging data (CRD)",
     "station_table": "a table of station measurements",
-    "sinex": "coordinates of stations (SINEX)",
-    "bulletin_b": "a Bulletin B of the IERS",
+    "sinex": "station coordinates (SINEX)",
+    "bulletin_b": "an IERS Bulletin B",
 }
 """Descriptions of file kinds."""
 TRACKING: tuple[Kind, ...] = ("tdm", "crd", "station_table", "sinex", "bulletin_b")
@@ -61,7 +61,7 @@ IN_WORDS: dict[str, Kind] = {"OEM": "oem", "OPM": "opm", "OMM": "omm", "TDM": "t
 """Supported CCSDS messages, by XML element and by name."""
 MEAN_ELEMENTS = re.compile(r"(?=.*\bMEAN_MOTION\b).*\bECCENTRICITY\b", re.DOTALL)
 MESSAGES = {
-    "OPM": "an orbit parameter message (OPM), one state",
+    "OPM": "an orbit parameter message (OPM) with one state",
     "OMM": "an orbit mean-elements message (OMM)",
     "OCM": "an orbit comprehensive message (OCM)",
     "TDM": "a tracking data message (TDM)",
@@ -106,10 +106,10 @@ LINES: tuple[tuple[re.Pattern[str], Kind], ...] = (
 TEXTS = (
     (re.compile(r".{60}(RINEX|CRINEX) VERS"), "RINEX"),
     (re.compile(r".{60}(IONEX|ANTEX) VERS"), "IONEX or ANTEX"),
-    (re.compile(r"%=(TRO|BIA)"), "SINEX of the troposphere or of biases"),
+    (re.compile(r"%=(TRO|BIA)"), "SINEX for the troposphere or for biases"),
     (re.compile(r"stk\.v\.", re.IGNORECASE), "an STK file"),
     (re.compile(r"[\[{]"), "JSON"),
-    (re.compile(r"\*{20,}"), "an output of JPL Horizons"),
+    (re.compile(r"\*{20,}"), "JPL Horizons output"),
     (re.compile(r"(product_type|begin_of_head)\b"), "a gravity field (GFC)"),
     (re.compile(r"\s*\d{4} [A-Z]{3} +\d+ =JD"), "leap seconds (tai-utc.dat), which ahnn already knows"),
 )
@@ -164,7 +164,7 @@ def holds_mean_elements(path: Path) -> bool:
 
 def refuse(file: str, received: str) -> NoReturn:
     """Raise Fault for a file of an unsupported format."""
-    Place(file).refuse(READ, received, "Write its samples as a table, docs/data.md")
+    Place(file).refuse(READ, received, "Write its samples as a table (docs/data.md)")
 
 
 def refuse_message(name: str, place: Place) -> NoReturn:

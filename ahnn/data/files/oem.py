@@ -103,7 +103,7 @@ def add_covariance(block: MessageBlock, line: str, place: Place) -> None:
     """Add a line of a covariance to a block; raises UserError for numbers without a preceding epoch."""
     if "=" not in line:
         if not block.matrices:
-            place.refuse("EPOCH = of a covariance first", repr(line))
+            place.refuse("EPOCH = first in a covariance", repr(line))
         block.matrices[-1][3].extend(line.split())
         return
     key, value = pair(line, place)

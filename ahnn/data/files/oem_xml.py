@@ -92,7 +92,7 @@ class _Reader:
         elif tag in GROUPS:
             self.group, self.texts, self.row = tag, {}, self.parser.CurrentLineNumber
         elif tag not in (GROUPS[self.group] or (tag,) if self.group else STRUCTURE) and tag != "COMMENT":
-            place.refuse("an orbit ephemeris message <oem>", f"<{tag}> in it", ALONE)
+            place.refuse("an orbit ephemeris message <oem>", f"one with <{tag}>", ALONE)
         wanted = unit_of(tag)
         if wanted and attributes.get("units", wanted).lower().replace("^", "**") != wanted:
             place._replace(column=tag).refuse(f"units {wanted}", repr(attributes["units"]))

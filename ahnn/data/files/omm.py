@@ -59,7 +59,7 @@ PUBLISHED = (
     *("OBJECT_TYPE", "RCS_SIZE", "COUNTRY_CODE", "LAUNCH_DATE", "SITE", "DECAYED", "APOAPSIS", "PERIAPSIS"),
 )
 """Fields added by catalogues, which are not used."""
-NOT_USED = "not used: designators, classes, derivatives of the mean motion, numbers of sets and revolutions"
+NOT_USED = "not used: designators, classes, mean motion derivatives, set and revolution numbers"
 TO_2000 = 18263.0
 """Days from 1949-12-31, the SGP4 origin, to 2000-01-01."""
 RANGE = epochs.instant("1957-01-01", utc=True), epochs.instant("2100-01-01", utc=True)
@@ -122,7 +122,7 @@ def _of_json(text: str, file: str, note: Note) -> Iterator[FieldMessage]:
         if not isinstance(one, dict) or not all(
             isinstance(v, str | int | float | None) for v in one.values()
         ):
-            note(Fault(message.place, "an object of keywords with texts or numbers", repr(one)[:60]))
+            note(Fault(message.place, "an object with a text or number for each keyword", repr(one)[:60]))
             continue
         for key, value in one.items():
             if value is not None:
@@ -148,7 +148,7 @@ def _orbit(one: FieldMessage, model: Any, note: Note) -> MeanOrbit:
             one.at(key).refuse(" or ".join(words[:2]), repr(one.values[key]))
     for key in OTHERS:
         if key in one.values:
-            one.at(key).refuse("mean elements of SGP4", f"{key}, which is of another theory")
+            one.at(key).refuse("SGP4 mean elements", f"{key}, which belongs to another theory")
     one.require_units(_unit_of)
     values = {key: within(one.text(key), one.at(key), low, high) for key, (low, high, _) in ELEMENTS.items()}
     for key in DERIVATIVES:
@@ -159,7 +159,7 @@ def _orbit(one: FieldMessage, model: Any, note: Note) -> MeanOrbit:
         one.at("EPOCH").refuse("an epoch from 1957 to 2100", repr(one.values["EPOCH"]))
     known = (*SAID, *ELEMENTS, *UNUSED, "EPOCH", "OBJECT_NAME", *PUBLISHED)
     if other := [name for name in one.unknown(known) if not name.startswith(("C", "COV_"))]:
-        note(Remark(one.place, f"not keywords of an OMM, not used: {', '.join(other)}", "", "warning"))
+        note(Remark(one.place, f"not OMM keywords, ignored: {', '.join(other)}", "", "warning"))
     name = one.values.get("NORAD_CAT_ID") or one.values.get("OBJECT_NAME") or one.text("OBJECT_ID")
     return MeanOrbit(one.place, name, _satellite(values, start, model), start)
 

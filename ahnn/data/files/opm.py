@@ -54,6 +54,6 @@ def _block(one: FieldMessage, note: Note) -> MessageBlock:
         note(Remark(one.place, f"manoeuvres not used: {', '.join(burns)}", "", "warning"))
     known = (*META, "EPOCH", *COMPONENTS, *TRIANGLE, "COV_REF_FRAME", *UNUSED)
     if other := one.unknown(known):
-        what = f"not keywords of an OPM, not used: {', '.join(other)}"
+        what = f"not OPM keywords, ignored: {', '.join(other)}"
         note(Remark(one.place, what, "Correct them, or leave them out", "warning"))
     return block

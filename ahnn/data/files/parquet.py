@@ -34,7 +34,7 @@ def read_parquet(raw: bytes, file: str, note: Note = refuse) -> Sheet:
         Place(file).refuse("a Parquet file", " ".join(str(error).split()))
     place = Place(file)
     if index := [name for name in table.column_names if name.startswith(INDEX)]:
-        note(Remark(place, f"not used: the index {', '.join(index)} of pandas"))
+        note(Remark(place, f"not used: the pandas index {', '.join(index)}"))
         table = table.drop_columns(index)
     header = header_of(table.column_names, place)
     units = []

@@ -25,4 +25,4 @@ def decoded(raw: bytes, path: Path) -> str:
         return raw.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         row = len(raw[: error.start + 1].splitlines())
-        Place(str(path), row).refuse("text in UTF-8", repr(raw[error.start : error.start + 1]))
+        Place(str(path), row).refuse("UTF-8 text", repr(raw[error.start : error.start + 1]))

@@ -70,7 +70,7 @@ def parsed(path: Path, raw: bytes, aside: bytes | None, reading: FileReading, no
         said = sidecar.Sidecar() if aside is None else sidecar.parse(decoded(aside, beside), str(beside))
         return turned([of_sheet(sheet, said, weighed=weighed, note=note)], [sheet.place], reading)
     if kind in kinds.TRACKING:
-        remedy = "It contains no trajectories: system=sightings learns from it, docs/tracking.md"
+        remedy = "It contains no trajectories: system=sightings learns from it (docs/tracking.md)"
         Place(file).refuse(kinds.READ, kinds.ABOUT[kind], remedy)
     if aside is not None:
         note(Remark(Place(str(beside)), f"not used: {path.name} states its own units and frame"))

@@ -55,7 +55,7 @@ class Recordings(ABC):
         unsound: bool,
     ) -> None:
         if space.frame.upper().startswith(ROTATING):
-            told = "%s: frame %s rotates: mass times velocity is not a momentum in it"
+            told = "%s: frame %s rotates, so that mass times velocity is not a momentum"
             log.warning(told, space.name, space.frame)
         self.space, self.positions_only = space, not contents[0].rates
         self.momenta = contents[0].momenta
@@ -97,7 +97,7 @@ class Recordings(ABC):
             if not len(trimmed(track).times):
                 place = Place(track.file, int(track.rows[0]) if len(track.rows) else 0)
                 named = " ".join(("a trajectory", *filter(None, [track.name])))
-                place.refuse(f"{named} with a complete sample", "missing values in each")
+                place.refuse(f"{named} with a complete sample", "missing values in each sample")
         parts = [trimmed(part) for track in tracks for part in cut(track, self.cut)]
         parts = [part for part in parts if len(part.times)]
         factor = np.ones(2 * dof)

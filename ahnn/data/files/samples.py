@@ -16,7 +16,7 @@ from ahnn.types import Trajectories
 Array = NDArray[np.float64]
 ON_GRID = 0.01
 """Tolerance of sample times, as a fraction of the step, for detecting a regular grid."""
-APART = "a separate id (column of a table) or segment (of a message)"
+APART = "a separate id (in a table) or segment (in a message)"
 FILL = 20
 """Ratio of missing to present samples above which a gap separates two trajectories."""
 
@@ -87,10 +87,10 @@ def ordered(track: Track, column: str, note: Note = refuse) -> Track:
         if before == here:
             equal = np.array_equal(track.values[k], track.values[last[k]], equal_nan=True)
             remedy = "Remove the repeated row" if equal else f"Give each trajectory {APART}"
-            note(Fault(row, f"each time{whose} once", f"{here} again, as in row {known}", remedy))
+            note(Fault(row, f"each time{whose} once", f"{here}, which duplicates row {known}", remedy))
         else:
             note(
-                Fault(row, f"a time{whose} after {before} of row {known}", f"{here}", "Sort the rows by time")
+                Fault(row, f"a time{whose} after {before} in row {known}", f"{here}", "Sort the rows by time")
             )
     return track.part(good)
 
@@ -129,9 +129,9 @@ def filled(track: Track, gap: float, *, linear: bool = False) -> Track:
     if not counts.sum() <= FILL * len(track.times):
         k = int(counts.argmax())
         Place(track.file, int(track.rows[k + 1])).refuse(
-            f"gaps with at most {FILL} missing samples per sample present",
+            f"gaps with at most {FILL} missing samples per existing sample",
             f"one of {counts[k]:.15g} steps",
-            f"Give the two sides {APART}",
+            f"Give the samples on either side {APART}",
         )
     ends = np.concatenate(([0], counts.astype(np.int64).cumsum()))
     times = np.interp(np.arange(ends[-1] + 1), ends, track.times)

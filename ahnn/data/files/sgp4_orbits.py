@@ -67,8 +67,8 @@ def sgp4_content(
     step, duration = span
     if step is None or duration is None or duration < step:
         message = (
-            "step, duration: expected the sampling interval and the duration of trajectories, in seconds, "
-            f"which SGP4 propagates from the {named} of {file}; received {step} and {duration}. In "
+            "step, duration: expected the sampling interval and duration, in seconds, of the trajectories "
+            f"that SGP4 propagates from the {named} in {file}; received {step} and {duration}. In "
             "ahnn.train, set system.step and system.duration"
         )
         raise UserError(message)

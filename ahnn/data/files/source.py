@@ -73,7 +73,7 @@ class Files(Recordings):
         first = together(self.paths, contents)
         if first.momenta and mass is None:
             message = (
-                f"system.mass: expected the mass of p = m dq/dt for the momenta {', '.join(first.rates)} of "
+                f"system.mass: expected the mass in p = m dq/dt for the momenta {', '.join(first.rates)} in "
                 f"{self.paths[0]}; received null. Set system.mass=1 for momenta per unit mass"
             )
             raise UserError(message)
@@ -120,7 +120,9 @@ def space_of(name: str, content: Content, mass: float | Sequence[float] | None) 
     turning = content.momenta and content.frame.upper().startswith(ROTATING)
     inertia = (*mass,) if isinstance(mass, Sequence) else mass or 1.0
     if isinstance(inertia, tuple) and len(inertia) != len(content.positions):
-        message = f"system.mass: expected one, or one for each of {content.positions}; received {inertia}"
+        message = (
+            f"system.mass: expected one mass, or one for each of {content.positions}; received {inertia}"
+        )
         raise UserError(message)
     parts = (*content.positions, *momenta), content.units, inertia, content.frame
     return Space(name, *parts, mechanical=not turning, controls=content.controls)

@@ -88,13 +88,13 @@ class _Sp3Reader:
         elif line.startswith("EOF"):
             self.ended = True
         elif not line.startswith(("#", "+", "%", "/", "EP", "EV")):
-            place.refuse("a line of an orbit file (SP3)", repr(line[:40]))
+            place.refuse("a line of an SP3 orbit file", repr(line[:40]))
 
     def title(self, line: str, place: Place) -> None:
         """Read the first line: version, number of epochs and frame."""
         found = TITLE.match(line)
         if found is None or found[1] not in "cd":
-            place.refuse("#c or #d of an orbit file (SP3)", repr(line[:3]), "Versions a and b are not read")
+            place.refuse("#c or #d, as in SP3 orbit files", repr(line[:3]), "Versions a and b are not read")
         self.count = int(within(line[32:39].strip(), place._replace(column="number of epochs"), 1, 1e8))
         self.system = line[46:51].strip()
         if not self.system.upper().startswith(TERRESTRIAL):
@@ -147,7 +147,7 @@ class _Sp3Reader:
         numbers = [one * 1e-4 for one in _numbers(line, place, 1e4 * FASTEST * 10)]
         if any(numbers):
             if np.linalg.norm(numbers) > FASTEST:
-                place.refuse(f"a velocity up to {FASTEST:g} km/s", f"{np.linalg.norm(numbers):.1f} km/s")
+                place.refuse(f"a velocity of at most {FASTEST:g} km/s", f"{np.linalg.norm(numbers):.1f} km/s")
             self.orbits[name].velocities[-1] = numbers
         return None
 
@@ -160,7 +160,7 @@ class _Sp3Reader:
         """Return the orbits, with times since the first epoch of all."""
         place = Place(self.file)
         if not self.orbits:
-            place.refuse("positions (lines P) of an orbit file (SP3)", "none")
+            place.refuse("positions (lines P) in an SP3 orbit file", "none")
         if not self.ended or self.epochs != self.count:
             end = "" if self.ended else " without EOF"
             self.note(

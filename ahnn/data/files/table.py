@@ -20,7 +20,7 @@ HEADER = re.compile(r"\s*(?P<name>[^\[\]()]*?)\s*([\[(](?P<unit>[^\[\]()]*)[\])]
 MISSING = {"", "nan", "na"}
 EMPTY = "Leave the cell empty if the value is missing"
 DECIMAL_COMMA = re.compile(r"[+-]?[0-9]+,[0-9]+([eE][+-]?[0-9]+)?")
-POINT = "Write a point in place of each decimal comma of the file"
+POINT = "Replace each decimal comma in the file by a point"
 
 LARGEST = 1e150
 """Magnitude above which squares overflow float64."""
@@ -131,7 +131,7 @@ def read_csv(text: str, file: str, note: Note = refuse) -> Sheet:
     if not lines:
         Place(file).refuse("a header and a row for each sample", "no line")
     if (count := len(there) - len(lines)) > 0:
-        note(Remark(Place(file), f"{count} {'line' if count == 1 else 'lines'} skipped, starting with #"))
+        note(Remark(Place(file), f"{count} {'line' if count == 1 else 'lines'} starting with # skipped"))
     row, first = lines[0]
     delimiter, place = delimiter_of(first), Place(file, row)
     if delimiter not in first and len(first.split()) > 1 and "[" not in first:
@@ -180,9 +180,9 @@ def header_of(cells: Sequence[str], place: Place) -> Header:
         found = HEADER.fullmatch(cell)
         name = found["name"] if found else ""
         if found is None or not name or is_number(name):
-            place.refuse("names of columns such as 't [s], x [km]' in the first row", repr(cell))
+            place.refuse("column names such as 't [s], x [km]' in the first row", repr(cell))
         if name in names:
-            place._replace(column=name).refuse("a name for each column", "it twice")
+            place._replace(column=name).refuse("a different name for each column", "it twice")
         names.append(name)
         units.append(found["unit"])
     return Header(tuple(names), tuple(units))

@@ -32,7 +32,9 @@ from ahnn.data.files.unit_factors import scales
 from ahnn.data.files.unwrapped_angles import unwrapped
 
 NOTATION = "Write dates as year-month-day, which is unambiguous"
-NOT_A_DATE = "Write dates as year-month-day, check the order of the columns, or name a unit of time, [s]"
+NOT_A_DATE = (
+    "Write dates as year-month-day, check the order of the columns, or name a unit of time such as [s]"
+)
 
 
 def of_sheet(sheet: Sheet, sidecar: Sidecar, *, weighed: bool, note: Note = refuse) -> Content:
@@ -153,7 +155,7 @@ def with_clock(header: Header, time: int, place: Place) -> tuple[Header, str]:
     clock = header.units[time] or "UTC"
     if clock not in TO_TT:
         place._replace(column=header.names[time]).refuse(
-            f"a time scale of epochs, {', '.join(TO_TT)}", repr(clock)
+            f"a time scale for the epochs: one of {', '.join(TO_TT)}", repr(clock)
         )
     bare = all(unit is None for k, unit in enumerate(header.units) if k != time)
     units = [None if bare else "s" if k == time else unit for k, unit in enumerate(header.units)]

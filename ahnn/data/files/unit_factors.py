@@ -45,7 +45,7 @@ def scales(header: Header, roles: Roles, place: Place, *, weighed: bool) -> Scal
     if len(without) == len(columns):
         return Scales(Units(), 1.0, (1.0,) * len(roles.positions), (1.0,) * len(roles.rates))
     if without:
-        remedy = "[1] is the unit of pure numbers"
+        remedy = "Use [1] for pure numbers"
         place._replace(column=header.names[without[0]]).refuse(
             "a unit, since other columns have one", "none", remedy
         )
@@ -61,12 +61,12 @@ def scales(header: Header, roles: Roles, place: Place, *, weighed: bool) -> Scal
         wrong(header, roles.time, place, "a time or [1]")
     base = time_unit(found[roles.rates[0]].text, clock) if roles.rates else clock
     speed = length.per(base)
-    rate, meaning = speed, f"a {length.text} per time, a velocity"
+    rate, meaning = speed, f"a velocity ({length.text} per time)"
     if roles.kind == "momenta" and length.dimension != NONE.dimension:
         arm = unit("m^2") if length.dimension == ANGLE else length
         dimension = tuple(m + a - t for m, a, t in zip(MASS, arm.dimension, TIME, strict=True))
         rate = Unit("kg", arm.size / base.size, dimension)
-        meaning = "mass times velocity, a momentum"
+        meaning = "a momentum (mass times velocity)"
     rates = tuple(factor(header, found, i, rate, place, meaning) for i in roles.rates)
     text = "1" if speed.text == "1/1" else speed.text
     units = Units(base.text, length.text, text, energy_unit(length, base, weighed=weighed))

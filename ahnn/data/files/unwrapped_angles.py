@@ -34,7 +34,7 @@ def unwrapped(content: Content, note: Note = refuse) -> Content:
             count += np.abs(turns).sum(axis=0)
     for name, times in zip(content.positions, count.tolist(), strict=True):
         if times:
-            what = f"an angle that jumps by a turn, {times:,} times: read as continuous"
+            what = f"an angle that jumps by a full turn, {times:,} times: read as continuous"
             note(Remark(Place(content.tracks[0].file, content.head, name), what))
     return content._replace(tracks=tuple(tracks))
 

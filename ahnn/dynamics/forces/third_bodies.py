@@ -146,7 +146,7 @@ def opened(names: list[str], epoch: float, days: NDArray[np.float64]) -> Any:
     first, last = ephemeris.jalpha - epoch, ephemeris.jomega - epoch
     if not {*names} <= {*PARAMETERS} or names[0] in names[1:] or days[0] < first or days[-1] > last:
         message = (
-            f"third_bodies: expected a center and other bodies of {', '.join(PARAMETERS)}, and days from "
+            f"third_bodies: expected a center and other bodies among {', '.join(PARAMETERS)}, and days from "
             f"{first:.1f} to {last:.1f}; received {', '.join(names)}, {days[0]:.1f} to {days[-1]:.1f}"
         )
         raise UserError(message)

@@ -111,7 +111,7 @@ def component_errors(case: Case, outcome: Outcome, teeth: Sawtooth) -> Figure:
         axes.ticklabel_format(axis="y", scilimits=(-3, 4))
     _label(case, figure, grid, axis, "error of ")
     what = f"{case.space.name}, {name(outcome, case)}: error of one unseen trajectory"
-    figure.suptitle(f"{what}, {outcome.who.start} start\n(scaled to the time after the first update)")
+    figure.suptitle(f"{what}, {outcome.who.start} start\n(axis scaled to the values after the first update)")
     return figure
 
 
@@ -127,9 +127,7 @@ def error_against_band(case: Case, chosen: Chosen, start: Start) -> Figure:
         believed = rms_over_members(teeth.deviation, case.space.divisor)
         for i, axes in enumerate(panels):
             axes.plot(time, error[i], **(look | {"lw": 1.4}), label=f"{label}: error")
-            axes.plot(
-                time, believed[i], color=look["color"], lw=1.3, ls=":", label=f"{label}: σ of the filter"
-            )
+            axes.plot(time, believed[i], color=look["color"], lw=1.3, ls=":", label=f"{label}: filter σ")
     for axes in panels:
         style.logarithmic(axes, 1)
     style.label_errors(case, panels)

@@ -164,8 +164,8 @@ def with_process_noise(
     """
     if isinstance(option, ParameterOptions) and case.uncertainty is None:
         log.warning(
-            "process_noise: parameter_error needs a covariance of the parameters, stored by training that "
-            "explains its measurements; there is none, so force_error is used"
+            "process_noise: parameter_error needs a parameter covariance, which training stores if the model "
+            "fits its measurements; there is none, so force_error is used"
         )
         option = ForceOptions()
     if isinstance(option, ParameterOptions):
@@ -214,7 +214,7 @@ def grown(
 def require_truth(option: NoiseOption, truth: System | None) -> None:
     """Raise UserError for a process noise fitted to true states that are unknown."""
     if truth is None:
-        received = {"ForceOptions": "force_error", "ParameterOptions": "no covariance of the parameters"}
+        received = {"ForceOptions": "force_error", "ParameterOptions": "no parameter covariance"}
         message = (
             "process_noise: for data without known true states, expected standard deviations or (after "
             "training on measurements) parameter_error; received "

@@ -265,7 +265,7 @@ class EstimatorEvaluation:
 
     def arcs(self, case: Case, setting: Setting, count: int, steps: int | None, seed: int) -> Problem:
         """Return arcs of a limited number of validation trajectories, used for tuning only."""
-        if steps is not None and clock_of(case.flow):  # arcs begin at any time, a filter at zero
+        if steps is not None and clock_of(case.flow):  # arcs begin at any time, filters at time zero
             message = f"tuning.steps: expected null with forces that depend on time; received {steps}"
             raise UserError(message)
         data = case.validation

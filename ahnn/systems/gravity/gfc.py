@@ -66,12 +66,14 @@ def read_gfc(path: Path | str, epoch: str | None = None) -> GravityField:
     lines = [line for line in numbered if line.words]
     ends = [k for k, line in enumerate(lines) if line.word(0) == "end_of_head"]
     if not ends:
-        file.refuse("a header that ends with end_of_head, as in files of ICGEM", "none")
+        file.refuse("a header that ends with end_of_head, as in ICGEM files", "none")
     head = header(lines[: ends[0]], file)
     rows = lines[ends[0] + 1 :]
     for line in rows:
         if line.word(0) == VARIES and head.get("format", line).word(1) == "icgem2.0":
-            line.refuse("a static field of format icgem2.0, or icgem1.0", f"a row {VARIES} with intervals")
+            line.refuse(
+                "a static field in icgem2.0 format, or icgem1.0 format", f"a {VARIES} row with intervals"
+            )
     degree = head[DEGREE].whole(1, DEGREE)
     found = CONVENTION | coefficients(rows, degree, epoch)
     require_all(found, degree, file)
@@ -87,7 +89,7 @@ def header(lines: list[CoefficientLine], file: CoefficientLine) -> dict[str, Coe
     starts = [k for k, line in enumerate(lines) if line.word(0) == "begin_of_head"]
     head: dict[str, CoefficientLine] = {}
     for line in lines[starts[0] + 1 if starts else 0 :]:
-        name = MU if line.word(0) == "gravity_constant" else line.word(0)  # in fields of other bodies
+        name = MU if line.word(0) == "gravity_constant" else line.word(0)  # name used for other bodies
         if name not in (MU, RADIUS, DEGREE, "modelname", *KNOWN):
             continue
         if len(line.words) < 2 or name in head:
@@ -107,7 +109,9 @@ def require_all(found: Mapping[Index, Any], degree: int, file: CoefficientLine) 
         return
     pairs = ((n, m) for n in range(degree + 1) for m in range(n + 1))
     missing = next(pair for pair in pairs if pair not in found)
-    file.refuse(f"all coefficients to {DEGREE} {degree}", f"none of n, m = {missing}; it may be cut off")
+    file.refuse(
+        f"all coefficients to {DEGREE} {degree}", f"none for n, m = {missing}; the file may be cut off"
+    )
 
 
 def assembled(
@@ -124,7 +128,7 @@ def assembled(
     mu, radius = head[MU].number(1, MU), head[RADIUS].number(1, RADIUS)
     plain = head.get("norm", file).word(1) == "unnormalized"
     if plain and degree > PLAIN:
-        head["norm"].refuse(f"norm fully_normalized above degree {PLAIN}", f"unnormalized to {degree}")
+        head["norm"].refuse(f"norm fully_normalized above degree {PLAIN}", f"unnormalized to degree {degree}")
     for name, value in ((MU, mu), (RADIUS, radius)):
         if value <= 0:
             head[name].refuse(f"{name} > 0, in m and s", value)
@@ -149,9 +153,10 @@ def require_body(mu: float, radius: float, head: Mapping[str, CoefficientLine]) 
     low, high = DENSITIES
     if not low <= density <= (STONES if radius < SMALL else high):
         head[RADIUS].refuse(
-            f"{RADIUS} in m and {MU} in m^3/s^2, of a body of {low:g} to {high:g} kg/m^3, below "
-            f"{SMALL / 1e3:g} km to {STONES:g}",
-            f"{radius:g} and {mu:g}, which is {density:.3g} kg/m^3. Write both in metres",
+            f"{RADIUS} in m and {MU} in m^3/s^2 that give a density of {low:g} to {high:g} kg/m^3, or at "
+            "most "
+            f"{STONES:g} if {RADIUS} is below {SMALL / 1e3:g} km",
+            f"{radius:g} and {mu:g}, which give {density:.3g} kg/m^3. Write both in metres",
         )
     if radius < SMALL:
         log.warning(
@@ -164,13 +169,11 @@ def require_body(mu: float, radius: float, head: Mapping[str, CoefficientLine]) 
 def require_centred(cosines: Coefficients, sines: Coefficients, file: CoefficientLine) -> None:
     """Raise UserError for coefficients that do not refer to the body's centre of mass."""
     if abs(cosines[0, 0] - 1) > MASS:
-        file.refuse(
-            "C of n, m = (0, 0) = 1, since GM is the constant of the entire mass", f"{cosines[0, 0]:g}"
-        )
+        file.refuse("C = 1 for n, m = (0, 0), since GM includes the entire mass", f"{cosines[0, 0]:g}")
     first = max(abs(cosines[1, :2]).max(), abs(sines[1, 1]))
     if first > OFFSET:
-        said = f"coefficients of degree 1 up to {first:g}. Shift the origin, or leave these rows out"
-        file.refuse(f"the origin in the centre of mass, C10, C11, S11 within {OFFSET:g} of 0", said)
+        said = f"degree-1 coefficients of up to {first:g}. Shift the origin, or leave these rows out"
+        file.refuse(f"the origin at the centre of mass, with C10, C11 and S11 within {OFFSET:g} of 0", said)
     if (most := max(abs(cosines).max(), abs(sines).max())) > 1 + MASS:
         file.refuse("normalised coefficients of at most 1", f"one of {most:g}")
 

@@ -99,7 +99,7 @@ def gradient(cosines: Coefficients, sines: Coefficients) -> list[tuple[Coefficie
     lower = 0.5 * c.conj() * np.sqrt(scale * falling * (falling + 1)) * np.where(m == 1, 2**0.5, 1)
     down[1:, : orders - 1] = lower[:, 1:]
     along[1:, :orders] = -c * np.sqrt(scale * (n + m + 1) * falling)
-    # up Z + down conj(Z), its real part along x and its imaginary part along y.
+    # up Z + down conj(Z), with its real part along x and its imaginary part along y.
     x = (up + down).real, (down - up).imag
     y = (up + down).imag, (up - down).real
     return [x, y, (along.real, -along.imag)]

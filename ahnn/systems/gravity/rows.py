@@ -77,18 +77,18 @@ def coefficients(lines: list[CoefficientLine], degree: int, epoch: str | None) -
     for line in lines:
         key, pair = line.word(0), _index(line, degree)
         if widths.setdefault(key, len(line.words)) != len(line.words):
-            line.refuse(f"{widths[key]} columns, as in the first row {key}", len(line.words))
+            line.refuse(f"{widths[key]} columns, as in the first {key} row", len(line.words))
         if key in CHANGES:
             changes.append((pair, line))
         elif pair in rows:
-            line.refuse("each coefficient once", f"n, m = {pair} again")
+            line.refuse("each coefficient once", f"n, m = {pair} twice")
         else:
             rows[pair] = line
     found = {pair: line.coefficient() for pair, line in rows.items()}
     years = {pair: _years(line, epoch) for pair, line in rows.items() if line.word(0) == VARIES}
     for pair, line in changes:
         if pair not in years:
-            line.refuse(f"a row {VARIES} of the coefficient", f"none of n, m = {pair}")
+            line.refuse(f"a {VARIES} row for the coefficient", f"none for n, m = {pair}")
         factor, (c, s), (more_c, more_s) = _factor(line, years[pair]), found[pair], line.coefficient()
         found[pair] = c + factor * more_c, s + factor * more_s
     return found
@@ -97,7 +97,7 @@ def coefficients(lines: list[CoefficientLine], degree: int, epoch: str | None) -
 def _index(line: CoefficientLine, degree: int) -> Index:
     """Return degree and order of a row."""
     if line.word(0) not in (STATIC, VARIES, *CHANGES):
-        line.refuse(f"a row {STATIC}, {VARIES}, {', '.join(CHANGES)}", line.word(0))
+        line.refuse(f"a row beginning with one of {STATIC}, {VARIES}, {', '.join(CHANGES)}", line.word(0))
     n, m = line.whole(1, "degree n"), line.whole(2, "order m")
     if not m <= n <= degree:
         line.refuse(f"order <= degree <= max_degree {degree}", f"n, m = {(n, m)}")
@@ -127,6 +127,6 @@ def _factor(line: CoefficientLine, years: float) -> float:
         return years
     period = line.number(len(line.words) - 1, "the period in years")
     if period <= 0:
-        line.refuse("a period above 0 in years", period)
+        line.refuse("a period > 0 in years", period)
     turns = 2 * math.pi * years / period
     return math.cos(turns) if key == "acos" else math.sin(turns)

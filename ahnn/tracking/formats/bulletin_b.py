@@ -59,7 +59,9 @@ def read_bulletins(paths: str | Path | Sequence[str | Path]) -> EarthOrientation
     table = np.array([rows[day] for day in sorted(rows)])
     if len(gap := np.flatnonzero(np.diff(table[:, 0]) != 1)):
         day = int(table[gap[0], 0])
-        Place(str(names[-1])).refuse(f"bulletins of consecutive days, MJD {day + 1} after {day}", "a gap")
+        Place(str(names[-1])).refuse(
+            f"bulletins for consecutive days: MJD {day + 1} after MJD {day}", "a gap"
+        )
     mas = table[:, 1:6] / 1000
     return EarthOrientation(table[:, 0], mas[:, 0], mas[:, 1], mas[:, 2], mas[:, 3:5], table[:, 6] > 0)
 
@@ -72,7 +74,7 @@ def bulletin_rows(text: str, file: str) -> list[tuple[float, ...]]:
     """
     lines = list(enumerate(text.split("\n"), 1))
     if not any(TITLE.match(line) for _, line in lines[:10]):
-        Place(file).refuse("a Bulletin B of the IERS", repr(text[:40].strip()))
+        Place(file).refuse("an IERS Bulletin B", repr(text[:40].strip()))
     section, known, final, rows = "", False, 1.0, list[tuple[float, ...]]()
     for row, line in lines:
         if found := SECTION.match(line):
@@ -85,7 +87,7 @@ def bulletin_rows(text: str, file: str) -> list[tuple[float, ...]]:
                     Place(file, row).refuse("units mas and ms before the values", "none")
                 rows.append((*_values(line.split(), Place(file, row)), final))
                 if len(rows) > 1 and rows[-1][0] != rows[-2][0] + 1:
-                    Place(file, row, "MJD").refuse("the day after the line before", f"{rows[-1][0]:.0f}")
+                    Place(file, row, "MJD").refuse("the day after the previous line's", f"{rows[-1][0]:.0f}")
     if not rows or not section.isdigit() or int(section) < 2:
         Place(file).refuse("section 1 with daily values, and section 2 after it", "another end")
     return rows

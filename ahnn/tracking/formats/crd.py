@@ -35,27 +35,27 @@ FLAGS = (
     (
         14,
         "0",
-        "refraction not yet corrected",
+        "ranges not yet corrected for refraction",
         "Ask for normal points without this correction",
     ),
     (15, "0", "ranges to the reflectors, not to the centre of mass", ""),
-    (17, "1", "the station's delay corrected", ""),
+    (17, "1", "ranges corrected for the station delay", ""),
     (19, "2", "two-way ranges (range type 2)", ""),
 )
 """Requirements on a session (record H4): field index, required value, and its meaning."""
 UNUSED = {
     "00": "comments",
     "10": "full-rate ranges",
-    "12": "supplements of ranges",
-    "21": "supplements of the weather",
+    "12": "range supplements",
+    "21": "weather supplements",
     "30": "pointing angles",
     "40": "calibrations",
     "41": "calibrations",
     "42": "calibrations",
-    "50": "statistics of passes",
+    "50": "pass statistics",
     "60": "compatibility records",
-    **{f"c{k}": "descriptions of instruments" for k in range(1, 8)},
-    "h5": "names of predictions",
+    **{f"c{k}": "instrument descriptions" for k in range(1, 8)},
+    "h5": "prediction names",
 }
 """Records that are not needed; 90 to 99 are station-specific."""
 SLACK = 120 * epochs.SECOND
@@ -92,7 +92,7 @@ def crd_data(text: str, file: str, note: Note = refuse) -> list[TrackingData]:
                 note(fault)
     reader.close("the end of the file")
     if not reader.found:
-        Place(file).refuse("normal points (records 11) of laser ranging data (CRD)", "none")
+        Place(file).refuse("normal points (records 11) in laser ranging data (CRD)", "none")
     remarks = reader.remarks()
     return [gathered(name, readings, event, remarks) for (name, event), readings in reader.found.items()]
 
@@ -128,7 +128,7 @@ class _CrdReader:
         if key == "h1":
             self.format(cells, place)
         elif not self.version and key != "00":
-            place.refuse("record H1 of laser ranging data (CRD) first", repr(line[:40]))
+            place.refuse("CRD record H1 first", repr(line[:40]))
         elif key in ("h2", "h3"):
             self.close("another header")
             self.header(key, rest, place)
@@ -142,9 +142,9 @@ class _CrdReader:
             if not self.skipped:
                 self.readers[key](cells, place)
         elif key in UNUSED or key.startswith("9"):
-            self.unused[UNUSED.get(key, "records of stations")] = None
+            self.unused[UNUSED.get(key, "station records")] = None
         else:
-            place.refuse("a record of laser ranging data (CRD)", repr(line[:40]))
+            place.refuse("a CRD record", repr(line[:40]))
 
     def format(self, cells: list[str], place: Place) -> None:
         """Read record H1: the format and its version."""
@@ -153,7 +153,7 @@ class _CrdReader:
         version = cells[1].lstrip("0") if len(cells) > 1 else ""
         if cells[:1] not in (["CRD"], ["crd"]) or version not in ("1", "2"):
             self.skipped = True
-            place.refuse("CRD of version 1 or 2", repr(" ".join(cells[:2])))
+            place.refuse("CRD version 1 or 2", repr(" ".join(cells[:2])))
         self.version = version
 
     def header(self, key: str, rest: str, place: Place) -> None:
@@ -187,13 +187,13 @@ class _CrdReader:
         if cells[7] not in ("-1", "na"):
             stop = moment_of(cells[7:13], place)
             if not start <= stop <= start + epochs.DAY * epochs.SECOND:
-                place.refuse("a session of a day at most", "another end")
+                place.refuse("a session of at most one day", "another end")
         self.session, self.skipped = RangingSession(start, stop, start), False
 
     def configuration(self, cells: list[str], place: Place) -> None:
         """Read record C0: the wavelength of a configuration, converted from nm to micrometres."""
         if len(cells) < 3:
-            place.refuse("a wavelength and the name of a configuration", repr(" ".join(cells)))
+            place.refuse("a wavelength and a configuration name", repr(" ".join(cells)))
         self.opened(place).wavelengths[cells[2]] = within(cells[1], place, 200.0, 12000.0) / 1000
 
     def weather(self, cells: list[str], place: Place) -> None:
@@ -215,7 +215,7 @@ class _CrdReader:
         session = self.opened(place)
         event = EVENTS.get(cells[3])
         if event is None:
-            place.refuse("epoch event 0, 1 or 2 of a two-way range", repr(cells[3]))
+            place.refuse("epoch event 0, 1 or 2 for a two-way range", repr(cells[3]))
         within(cells[0], place, 0.0, 3 * epochs.DAY)
         flight = within(cells[1], place, 1e-4, 30.0)
         moment = moment_near(session.last, cells[0])
@@ -247,7 +247,7 @@ class _CrdReader:
             wavelength = known.get(one.configuration, only)
             if wavelength is None:
                 place = Place(self.file, one.row, "record 11")
-                self.note(Fault(place, "record C0 of its configuration", repr(one.configuration)))
+                self.note(Fault(place, "record C0 for its configuration", repr(one.configuration)))
                 continue
             reading = TrackingReading(
                 one.moment, self.station, {"range": one.range}, one.row, air, wavelength

@@ -91,14 +91,16 @@ def roles_of(
     for name, cell in zip(names, cells, strict=True):
         if cell not in known or cells.count(cell) > 1:
             received = f"{name!r}{nearest(name, known)}"
-            place.refuse(f"columns of {', '.join((*TIMES[:1], *STATIONS[:1], *KINDS))}, each once", received)
+            place.refuse(
+                f"different columns among {', '.join((*TIMES[:1], *STATIONS[:1], *KINDS))}", received
+            )
     one = [[k for k, cell in enumerate(cells) if cell in role] for role in (TIMES, STATIONS, OBJECTS)]
     if len(one[0]) != 1 or len(one[1]) != 1 or len(one[2]) > 1:
-        place.refuse("one column time, one station, and at most one object", ", ".join(names))
+        place.refuse("one time column, one station column, and at most one object column", ", ".join(names))
     time, station = one[0][0], one[1][0]
     clock = given[time] or said.clock
     if clock not in CLOCKS:
-        place._replace(column=names[time]).refuse(f"a time scale, {', '.join(CLOCKS)}", repr(clock))
+        place._replace(column=names[time]).refuse(f"one of the time scales {', '.join(CLOCKS)}", repr(clock))
     values, deviations = dict[Kind, tuple[int, float]](), dict[Kind, tuple[int, float]]()
     groups: dict[Kind, str] = {kind: group for group, kinds in COLUMNS.items() for kind in kinds}
     for k, (cell, unit) in enumerate(parts):
@@ -110,7 +112,7 @@ def roles_of(
             target = deviations if cell.startswith(SD) else values
             target[kind] = k, halved * factor_of(kind, unit, where)
     if not values:
-        place.refuse(f"a column of {', '.join(KINDS)}", ", ".join(names))
+        place.refuse(f"at least one of the columns {', '.join(KINDS)}", ", ".join(names))
     stated = dict[Kind, float]()
     for kind, (_, factor) in values.items():
         if (sd := said.deviations.get(groups[kind])) is not None:
@@ -126,14 +128,14 @@ def factor_of(kind: Kind, unit: str | None, place: Place) -> float:
     try:
         return units.factor(unit, UNITS[kind])
     except ValueError:
-        place.refuse(f"{kind} in {UNITS[kind]}, or a compatible unit", repr(unit))
+        place.refuse(f"{kind} in {UNITS[kind]}, or in a compatible unit", repr(unit))
 
 
 def reading_of(cells: list[str], place: Place, roles: SightingColumns) -> TrackingReading:
     """Parse the measurements of a line, without those that are missing; raises UserError."""
     moment = utc_moment(cells[roles.time], place._replace(column="time"), roles.clock)
     if cells[roles.station].lower() in MISSING:
-        place._replace(column="station").refuse("the name of a station", "none")
+        place._replace(column="station").refuse("a station name", "none")
     values = dict[Kind, float]()
     for kind, (k, factor) in roles.values.items():
         if cells[k].lower() not in MISSING:

@@ -65,7 +65,7 @@ def read_sinex(*paths: str | Path) -> StationCatalogue:
             ("eccentricities", found.eccentricities, one.eccentricities),
         ):
             if twice := sorted(mine.keys() & theirs.keys()):
-                Place(str(path)).refuse(f"{name} of a station in one file", f"{twice[0]} in two")
+                Place(str(path)).refuse(f"{name} of a station in only one file", f"{twice[0]} in two files")
         found.solutions.update(one.solutions)
         found.eccentricities.update(one.eccentricities)
         found.unused.update(one.unused)
@@ -123,7 +123,7 @@ def _estimate(blocks: _Blocks, line: str, place: Place) -> None:
     value = within(cells[8], place._replace(column=f"{kind} of {cells[2]}"), low, high)
     one = blocks.estimates.setdefault(key, SinexEstimate(place, reference, {}))
     if kind in one.values or one.reference != reference:
-        place.refuse(f"each type of a solution once, at one epoch ({kind} of {cells[2]})", "a second")
+        place.refuse(f"each type once per solution, at one epoch ({kind} of {cells[2]})", "a second")
     one.values[kind] = value
 
 
@@ -205,5 +205,5 @@ def sinex_moment(text: str, place: Place) -> int | None:
     if day == 0:
         return None
     if not (1951 <= year < 2200 and day <= 366 and second <= epochs.DAY):
-        place.refuse("an epoch YY:DDD:SSSSS of the calendar", repr(text))
+        place.refuse("a valid epoch YY:DDD:SSSSS", repr(text))
     return day_moment(date(year, 1, 1).toordinal() + day - 1) + second * epochs.SECOND

@@ -95,7 +95,7 @@ def _readings(segment: TdmSegment, link: TdmLink, note: Note) -> list[TrackingRe
                 moment += round(link.middle * epochs.SECOND)
             one = found.setdefault(moment, TrackingReading(moment, link.station, {}, row))
             if kind in one.values:
-                place.refuse("each keyword once at a time", f"{epoch} again, as in row {one.row}")
+                place.refuse("each keyword once per epoch", f"{epoch}, which duplicates row {one.row}")
             one.values[kind] = value
         except Fault as fault:
             note(fault)

@@ -90,7 +90,7 @@ class TdmLink:
     def half(self, place: Place) -> float:
         """Return the factor from a measurement to half the path; raises UserError for a one-way link."""
         if self.ways != 2:
-            place.refuse("a two-way link, PATH = 1,2,1", "a one-way link, whose clocks are two")
+            place.refuse("a two-way link (PATH = 1,2,1)", "a one-way link, which depends on two clocks")
         return 0.5 if self.two_way == "whole" else 1.0
 
     def angle(self, key: str, place: Place) -> Kind:
@@ -128,7 +128,7 @@ def link_of(segment: TdmSegment, two_way: str) -> TdmLink:
         link.remarks.append("DATA_QUALITY = DEGRADED")
     for key in meta:
         if key not in KNOWN:
-            link.remarks.append(f"{key} is not a keyword of a TDM, and is not used{nearest(key, KNOWN)}")
+            link.remarks.append(f"{key} is not a TDM keyword and is ignored{nearest(key, KNOWN)}")
     return link
 
 
@@ -140,7 +140,7 @@ def tdm_clock(segment: TdmSegment) -> str:
     """Return the time scale of a segment; raises UserError if unsupported."""
     clock = segment.meta.get("TIME_SYSTEM", "").upper()
     if clock not in CLOCKS:
-        _wrong(segment.place, "TIME_SYSTEM", ", ".join(CLOCKS), clock or "none")
+        _wrong(segment.place, "TIME_SYSTEM", f"one of {', '.join(CLOCKS)}", clock or "none")
     return clock
 
 
@@ -158,7 +158,7 @@ def _participants(meta: dict[str, str], place: Place) -> tuple[str, str, int]:
         )
     names = [meta.get(f"PARTICIPANT_{part}", "") for part in path]
     if not all(names):
-        _wrong(place, "PATH", "participants that are named", meta["PATH"])
+        _wrong(place, "PATH", "named participants", meta["PATH"])
     return names[-1], names[-2], len(path) - 1
 
 
@@ -167,12 +167,12 @@ def _judge_ranges(link: TdmLink, meta: dict[str, str], place: Place) -> None:
     if link.units not in ("km", "s"):
         link.blocked["RANGE"] = "RANGE_UNITS = km or s", repr(link.units)
     if _number(meta, "RANGE_MODULUS", place) != 0:
-        link.blocked["RANGE"] = "unambiguous ranges, RANGE_MODULUS = 0", repr(meta["RANGE_MODULUS"])
+        link.blocked["RANGE"] = "unambiguous ranges (RANGE_MODULUS = 0)", repr(meta["RANGE_MODULUS"])
     for k in range(1, 6):
         for name in ("TRANSMIT_DELAY", "RECEIVE_DELAY"):
             if _number(meta, f"{name}_{k}", place) != 0:
                 link.blocked["RANGE"] = (
-                    "ranges that contain no delays",
+                    "ranges without delays",
                     f"{name}_{k} = {meta[f'{name}_{k}']}",
                 )
 
@@ -208,7 +208,7 @@ def _judge_corrections(link: TdmLink, meta: dict[str, str], place: Place) -> Non
         return
     applied = meta.get("CORRECTIONS_APPLIED", "")
     if applied not in ("YES", "NO"):
-        _wrong(place, "CORRECTIONS_APPLIED", "YES or NO with corrections", applied or "none")
+        _wrong(place, "CORRECTIONS_APPLIED", "YES or NO if corrections are given", applied or "none")
     if applied == "NO":
         for key, value in given.items():
             link.corrections |= dict.fromkeys(CORRECTED.get(key, ()), value)

@@ -47,15 +47,15 @@ class TdmSegment:
         known = (*USED_DATA, *WEATHER, *UNUSED_DATA)
         if key not in known:
             guess = nearest(key, known)
-            guess = guess if "mean" in guess else ""  # no complete list of keywords
-            place.refuse("a keyword of the data of a TDM", f"{key!r}{guess}")
+            guess = guess if "mean" in guess else ""  # the list of known keywords is incomplete
+            place.refuse("a TDM data keyword", f"{key!r}{guess}")
         self.records.append((place.row, key, epoch, value))
 
 
 def require_version(text: str, place: Place) -> None:
     """Raise UserError for an unknown version."""
     if text not in VERSIONS:
-        place.refuse(f"version {' or '.join(VERSIONS)} of a TDM", repr(text))
+        place.refuse(f"TDM version {' or '.join(VERSIONS)}", repr(text))
 
 
 def kvn_segments(text: str, file: str) -> list[TdmSegment]:

@@ -60,7 +60,7 @@ class _TdmReader:
         tag, place = name.rpartition(":")[2], self.place
         inside = self.path[-1] if self.path else ""
         if tag not in STRUCTURE and inside not in ("metadata", "observation"):
-            place.refuse("a tracking data message <tdm>", f"<{tag}> in it")
+            place.refuse("a tracking data message <tdm>", f"one with <{tag}>")
         if tag == "tdm":
             require_version(attributes.get("version", "2.0"), place)
         elif tag == "segment":
@@ -73,7 +73,7 @@ class _TdmReader:
         if unit is not None and known and unit not in known:
             place._replace(column=tag).refuse(f"units {' or '.join(known)}", repr(unit))
         if tag == "RANGE" and unit is not None and unit != self.segments[-1].meta.get("RANGE_UNITS", "km"):
-            place._replace(column=tag).refuse("units as RANGE_UNITS says", repr(unit))
+            place._replace(column=tag).refuse("the units given by RANGE_UNITS", repr(unit))
         self.path.append(tag)
         self.text = ""
 

@@ -83,7 +83,7 @@ def parse_sidecar(text: str, file: str) -> TrackingSidecar:
     given: dict[Any, Any] = content if isinstance(content, dict) else {str(content): None}
     for key in given:
         if key not in KEYS:
-            place.refuse(f"keys {', '.join(KEYS)} of tracking data", f"{key!r}{nearest(str(key), KEYS)}")
+            place.refuse(f"one of the keys {', '.join(KEYS)}", f"{key!r}{nearest(str(key), KEYS)}")
     said = TrackingSidecar(
         object=str(given.get("object", "")),
         clock=chosen(given.get("clock", "UTC"), CLOCKS, place._replace(column="clock")),
@@ -108,5 +108,5 @@ def chosen(value: Any, among: tuple[str, ...], place: Place) -> Any:
 def mapping(value: Any, place: Place) -> dict[str, Any]:
     """Return values by kind; raises UserError for invalid ones."""
     if not isinstance(value, dict) or any(key not in COLUMNS for key in value):
-        place.refuse(f"values of {', '.join(COLUMNS)}", repr(value))
+        place.refuse(f"values for one or more of {', '.join(COLUMNS)}", repr(value))
     return value

@@ -46,8 +46,8 @@ class Localisation:
         """
         if size % self.coordinates:
             message = (
-                f"localisation: expected states of a multiple of {self.coordinates} components, the "
-                f"coordinates of the chain; received {size}, some of them not on the chain"
+                f"localisation: expected states with a multiple of {self.coordinates} components, the "
+                f"number of coordinates in the chain; received {size}, some of them not on the chain"
             )
             raise UserError(message)
         place = torch.arange(size) % self.coordinates

@@ -54,12 +54,12 @@ class MotionMode:
     def require_size(self, size: int, who: str) -> None:
         """Raise UserError for states of an incompatible size D."""
         if self.added is not None and len(self.added) > size:
-            message = f"{who}.added: expected at most {size} deviations; received {len(self.added)}"
+            message = f"{who}.added: expected at most {size} standard deviations; received {len(self.added)}"
             raise UserError(message)
         if self.beside is not None and (own := 2 * self.beside.dof) != size:
             message = (
-                f"{who}.beside: expected a system of {size} components, the number estimated; "
-                f"{self.beside.name} has {own}, without force error, parameters or biases"
+                f"{who}.beside: expected a system with {size} components, as many as are estimated; received "
+                f"{self.beside.name} with {own}, without force error, parameters or biases"
             )
             raise UserError(message)
 

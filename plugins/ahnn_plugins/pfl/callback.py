@@ -78,7 +78,7 @@ class PFLCallback(L.Callback):
         self.decision = None
         self._max_epochs = trainer.max_epochs or 0
         if self._max_epochs < 1:
-            message = f"PFL callback: expected max_epochs >= 1 of the trainer; received {trainer.max_epochs}"
+            message = f"PFL callback: expected trainer.max_epochs >= 1; received {trainer.max_epochs}"
             raise UserError(message)
         if self.trial is not None:
             last = _frozen(self.trial).last_step

@@ -99,7 +99,7 @@ def read_numbers(text: str) -> dict[PaperCell, Printed]:
     for row in read_rows(text, COLUMNS):
         key, value = place(row), float(row["value_in_physical_units"])
         if key in found or not (math.isfinite(value) and value > 0):
-            message = f"{FILE}: expected one number above zero for {key}; received {value:g} or two of them"
+            message = f"{FILE}: expected one number above zero for {key}; received {value:g}, or two numbers"
             raise ValueError(message)
         found[key] = Printed(value, UNITS.get(row["unit"], row["unit"]))
     return found
@@ -125,5 +125,5 @@ def place(row: dict[str, str]) -> PaperCell:
         model, with_filter = names[row["model"]]
         return PaperCell(SYSTEMS[row["table"]], model, with_filter, STARTS[row["scenario"]], quantity)
     except KeyError as error:
-        message = f"expected a name of the paper; received {error}"
+        message = f"expected a name from the paper; received {error}"
         raise ValueError(message) from error

@@ -41,7 +41,7 @@ def unfinished(folders: tuple[Path, ...]) -> list[str]:
 def _missing(board: Board) -> Iterator[str]:
     if not is_of_paper(board):
         if board.system in LAYOUTS and any(model in MODELS for model in board.groups):
-            yield "The units differ from the paper: its numbers are omitted."
+            yield "The units differ from those of the paper, whose numbers are omitted."
         return
     missing = [model for model in MODELS if model not in board.groups]
     if missing and len(board.entries) > 1:
@@ -65,7 +65,7 @@ def _filters(board: Board) -> Iterator[str]:
     entries = board.entries
     kept = sum((entry.folder / PREDICTIONS).is_file() for entry in entries)
     if kept < len(entries):
-        yield f"{len(entries) - kept} of {len(entries)} runs kept no predictions: figures omit them."
+        yield f"{len(entries) - kept} of {len(entries)} runs kept no predictions, so figures omit these runs."
     rows = [any(r.who.estimator and r.who.process == MODEL for r in e.results.rows) for e in entries]
     if not any(rows):
         yield "No run was evaluated with a filter (plugins=ukf)."

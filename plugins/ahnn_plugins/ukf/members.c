@@ -1,19 +1,20 @@
-/* The square-root form over members: each operation is done for LANES members at once.
+/* The square-root filter, with each operation applied to LANES members at once.
 
-   Arrays are float64, members first and rows after rows, as torch has them; a step of 0 between members is
-   a matrix that they share. The formulas are those of square_root.py, which is the reference. */
+   Arrays are float64 and row-major with the member as first index, as in torch; a step of 0 between members
+   means that they share a matrix. The formulas are those of square_root.py, which is the reference. */
 
 #include "vectors.h"
 
 static const double EPS = 2.220446049250313e-16;
-/* Fraction of a standard deviation that rounding may cost, as rounding.py has it. */
+/* Largest tolerated rounding error, in standard deviations, as in rounding.py. */
 static const double LIMIT = 1e-3;
 static const double LOG_TWO_PI = 1.8378770664093453;
 
-/* What the functions return. */
+/* Return values of the functions. */
 enum { SOUND, UNSOUND, NO_MEMORY, NO_FLOW };
 
-/* Sigma points (batch, 2 size + 1, size): the mean, and radius times the columns of the factor on both sides. */
+/* Write sigma points (batch, 2 size + 1, size): the mean, and the mean plus and minus radius times each column of
+   the factor. */
 KERNEL long ahnn_draw(long batch, long size, const double *mean, const double *chol, long chol_step,
                       const double *radius, long weight_step, double *points) {
     for (long b = 0; b < batch; b++) {
@@ -31,7 +32,7 @@ KERNEL long ahnn_draw(long batch, long size, const double *mean, const double *c
     return SOUND;
 }
 
-/* Mean and lower factor of propagated points (batch, 2 size + 1, size) with process noise. */
+/* Write the mean and lower factor of propagated points (batch, 2 size + 1, size), including process noise. */
 KERNEL long ahnn_predict(long batch, long size, const double *points, const double *outer,
                          const double *recentring, long weight_step, const double *chol_q, long q_step,
                          double *mean, double *chol) {
@@ -62,8 +63,8 @@ KERNEL long ahnn_predict(long batch, long size, const double *points, const doub
     return sound ? SOUND : UNSOUND;
 }
 
-/* Lower factor (batch, width + size, width + size) of measurement and state together, and the mean of the
-   deviations `images` (batch, 2 size, width) from the image of the centre. What is NaN in y is missing. */
+/* Write the joint lower factor (batch, width + size, width + size) of measurement and state, and the mean of
+   `images` (batch, 2 size, width), which are relative to the image of the centre. NaN in y means missing. */
 KERNEL long ahnn_joint(long batch, long size, long width, const double *images, const double *y, long complete,
                        const double *prior, long prior_step, const double *outer, const double *recentring,
                        long weight_step, const double *chol_r, long r_step, double *shifts, double *joint) {
@@ -104,15 +105,15 @@ KERNEL long ahnn_joint(long batch, long size, long width, const double *images, 
     return SOUND;
 }
 
-/* What an update tells of each member. */
+/* Results of an update for each member. */
 typedef struct {
     double *residuals, *mean, *chol, *deviations, *nis, *log_likelihood;
     unsigned char *singular;
 } told;
 
-/* Posterior of member b from its joint factor and the residuals of y, in place: those of what is missing become
-   zero. Sound if nothing is missing, nothing singular, everything finite, and rounding is far below the limit:
-   `noise` is the factor of R, and `work` holds 2 width numbers. */
+/* Compute the posterior of member b from its joint factor and the residuals of y, and set the residuals of missing
+   components to zero. Return whether no component is missing or singular, all results are finite, and rounding
+   errors are below LIMIT. `noise` is the factor of R, and `work` has space for 2 width numbers. */
 INLINE long condition(long b, long size, long width, const double *factor, const double *y, const double *prior,
                       const double *noise, const told *to, double *work) {
     long columns = width + size, precise = 1;
@@ -131,7 +132,7 @@ INLINE long condition(long b, long size, long width, const double *factor, const
         white[i] = rest / row[i];
         squares += white[i] * white[i];
         logs += log(row[i]);
-        /* A deviation that the numbers it is the difference of do not resolve is none. */
+        /* Standard deviations below the rounding errors of the numbers subtracted count as zero. */
         off[i] = isnan(y[b * width + i]) ? norm : fabs(y[b * width + i]) + fabs(residual[i]) + norm;
         to->singular[b] |= row[i] <= EPS / LIMIT * off[i];
         off[i] *= EPS;
@@ -171,8 +172,8 @@ KERNEL long ahnn_condition(long batch, long size, long width, const double *join
     return sound ? SOUND : UNSOUND;
 }
 
-/* Posterior where y (batch, width) are the first components of the state themselves. Opposite points then have
-   opposite images, and what is left of the deviations is the rows of the prior's factor. */
+/* Compute the posterior if y (batch, width) measures the first components of the state. Opposite points then have
+   opposite images, so that the rows of the prior's factor replace the images. */
 KERNEL long ahnn_read(long batch, long size, long width, const double *y, const double *prior,
                       const double *chol, long chol_step, const double *chol_r, long r_step, double *residuals,
                       double *mean, double *after, double *deviations, double *nis, double *log_likelihood,
@@ -209,9 +210,9 @@ KERNEL long ahnn_read(long batch, long size, long width, const double *y, const 
     return sound ? SOUND : UNSOUND;
 }
 
-/* All of a step after the flow: the prediction, the posterior given the row y, unless that is null, and the sigma
-   points of the next step. Sound if both are, no NIS is above the limit and no residual above half a period; else
-   there are no further points. */
+/* Complete a step after the flow: the prediction, the posterior given the row y (unless y is null), and the sigma
+   points of the next step. The step is sound if prediction and posterior are, no NIS exceeds the limit, and no
+   residual exceeds half a period; otherwise the sigma points are not computed. */
 static long whole_step(long batch, long size, long width, const double *points, const double *outer,
                 const double *recentring, const double *radius, long weight_step, const double *chol_q, long q_step, const double *y,
                 const double *chol_r, long r_step, double limit, const double *half, double *prior,
@@ -231,13 +232,13 @@ static long whole_step(long batch, long size, long width, const double *points, 
     return ahnn_draw(batch, size, y ? mean : prior, y ? chol : prior_chol, own, radius, weight_step, further);
 }
 
-/* States (count, size) that follow from x after a step dt; 0 where there are some. */
+/* Write the states (count, size) reached from x after a step dt; return 0 on success. */
 typedef long flow(const void *about, long count, const double *x, double dt, double *out);
 
-/* A run of steps, each of the flow and of `whole_step`, from the sigma points `points` (batch, 2 size + 1, size) on.
-   Step k has the length dt[k], the process noise chol_q + k q_next, and ends with the next row of y where
-   `measured` is set. All results lie one step after the other. It ends before a step that is not sound, whose
-   points after the flow are in `moved` and those before it in `points`; `done` tells how many were sound. */
+/* Run several steps, each consisting of the flow and `whole_step`, from sigma points (batch, 2 size + 1, size) in
+   `points`. Step k has the length dt[k] and the process noise chol_q + k q_next, and uses the next row of y if
+   measured[k] is set. Results are stored step after step. The run stops at the first step that is not sound, and
+   leaves its points before the flow in `points` and after it in `moved`; `done` is the number of sound steps. */
 long ahnn_follow(long batch, long size, long width, long steps, flow *propagate, const void *about, const double *dt,
                  const unsigned char *measured, const double *outer, const double *recentring, const double *radius,
                  long weight_step, const double *chol_q, long q_step, long q_next, const double *y,

@@ -91,7 +91,7 @@ class UKFEvaluation(EstimatorEvaluation):
     def require_constants(self, setting: Setting, steps: int, size: int) -> None:
         """Check that sigma points exist, and that tuning uses some measurement."""
         if self.tuning is not None and (self.tuning.steps or steps) < setting.first:
-            first = f"{setting.first}, when the first measurement comes"
+            first = f"{setting.first}, the step of the first measurement"
             message = f"tuning.steps: expected at least {first}; received {self.tuning.steps}"
             raise UserError(message)
         weights = regression_weights if "iterated" in self.smoothers else unscented_weights

@@ -59,7 +59,7 @@ def update(
     # An integer tensor times a float would become float32.
     count = present.sum(-1).to(nis.dtype)
     log_likelihood = -0.5 * (nis + count * math.log(2.0 * math.pi)) - diagonal.log().sum(-1)
-    # A covariance with a variance that is not positive has a zero factor.
+    # The factor of a covariance with a variance <= 0 is set to zero.
     lost = (torch.diagonal(chol, dim1=-2, dim2=-1) == 0.0).any(-1)
     singular = (diagonal == 0.0).any(-1) | lost
     repairs = repaired_x.to(torch.int64) + repaired_y

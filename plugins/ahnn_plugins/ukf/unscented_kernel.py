@@ -55,7 +55,7 @@ class SigmaPoints(NamedTuple):
             return predicted
         backward, mended = backward_kernel(points, belief.chol, self.weights, chol_q)
         if mended is not None and predicted.repaired is not None:
-            # The law contains the predicted covariance: its repair is not counted twice.
+            # The backward kernel contains the predicted covariance, whose repair is not counted twice.
             mended = mended & ~predicted.repaired
         return predicted._replace(backward=backward, mended=mended)
 

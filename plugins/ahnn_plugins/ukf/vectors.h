@@ -1,6 +1,6 @@
-/* Members side by side: one operation on LANES of them at once, and the triangular factors of their matrices.
+/* Operations on LANES members at once, and triangular factors of their matrices.
 
-   Within a block of members the last index is the member. A number that is not finite stays in its lane. */
+   Within a block of members the last index is the member. Non-finite numbers do not spread to other members. */
 
 #include <math.h>
 #include <stdlib.h>
@@ -26,8 +26,8 @@ INLINE lanes root(lanes x) {
     return x;
 }
 
-/* Divide the columns of `a`, column by column, by powers of two that bring their largest entries near one:
-   exact, and no square over- or underflows. */
+/* Divide each column of `a` by the power of two that brings its largest entry near one: the division is exact, and
+   no square overflows or underflows. */
 INLINE void balance(lanes *restrict a, lanes *restrict scale, long rows, long columns) {
     const bits exponent = (bits){} + 0x7ff0000000000000LL, sign = (bits){} + (-0x7fffffffffffffffLL - 1);
     const lanes one = (lanes){} + 1.0;
@@ -44,7 +44,7 @@ INLINE void balance(lanes *restrict a, lanes *restrict scale, long rows, long co
     }
 }
 
-/* Householder's QR of `a` (rows, columns), column by column: leaves R with diagonal >= 0 in its upper part. */
+/* Householder QR of `a` (rows, columns), stored by columns: R, with diagonal >= 0, replaces its upper part. */
 INLINE void triangularise(lanes *a, long rows, long columns) {
     const bits sign = (bits){} + (-0x7fffffffffffffffLL - 1);
     const lanes one = (lanes){} + 1.0;
@@ -67,7 +67,7 @@ INLINE void triangularise(lanes *a, long rows, long columns) {
     }
 }
 
-/* The members of a block: where the arrays of each begin. Lanes that are left over repeat the last member. */
+/* Indices of the members in a block. An incomplete block is filled with copies of the last member. */
 typedef struct {
     long member[LANES], count;
 } block;
@@ -79,7 +79,7 @@ INLINE block block_at(long first, long batch) {
     return here;
 }
 
-/* Number k of the array of each member. */
+/* Load entry k of each member's array. */
 INLINE lanes load(const double *from, const block *here, long step, long k) {
     lanes x;
     for (long l = 0; l < LANES; l++) x[l] = from[here->member[l] * step + k];
@@ -90,8 +90,8 @@ INLINE void save(double *to, const block *here, long step, long k, lanes x) {
     for (long l = 0; l < here->count; l++) to[here->member[l] * step + k] = x[l];
 }
 
-/* Write the lower factor (columns, columns) of what is triangular; tell whether its variances are positive and
-   finite. */
+/* Write the lower factor (columns, columns) from a triangularised matrix; return whether all variances are positive
+   and finite. */
 INLINE long save_factor(double *to, const block *here, const lanes *a, const lanes *scale, long rows,
                         long columns) {
     const lanes zero = {};

@@ -32,8 +32,8 @@ logger = logging.getLogger(__name__)
 JOURNAL = "journal:///"
 SQLITE = "sqlite:///"
 GRPC = "grpc://"
-_QUEUE = "ahnn queue"  # the study whose trials wait for the lock of a proxy
-_ATTEMPTS = 6  # waits of 0.5, 1, 2, 4, 8 s: a database server that is just starting
+_QUEUE = "ahnn queue"  # the study whose trials wait for a proxy's lock
+_ATTEMPTS = 6  # with waits of 0.5, 1, 2, 4, 8 s, for a database server that is starting
 _ADVISORY_KEY = 0x61686E6E  # "ahnn" in ASCII: any fixed 64-bit number
 
 

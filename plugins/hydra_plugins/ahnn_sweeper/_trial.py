@@ -31,7 +31,7 @@ def load_trial(storage: str, study_name: str, trial_id: int) -> optuna.Trial:
     """
     import optuna
 
-    # A trial samples on construction: the random sampler draws nothing there and has no side effect.
+    # Constructing a trial calls its sampler; the random sampler draws nothing here and has no side effect.
     sampler = optuna.samplers.RandomSampler()
     study = optuna.load_study(study_name=study_name, storage=open_storage(storage), sampler=sampler)
     return optuna.Trial(study, trial_id)

@@ -138,7 +138,7 @@ def test_a_single_trajectory_in_other_units_is_named_by_its_first_row(tmp_path):
     (tmp_path / "a.csv").write_text(text(rows))
     (found,) = examine([tmp_path / "a.csv"], FileReading()).findings
     assert (found.level, found.row, found.column) == ("fault", SAMPLES + 2, "vy")
-    assert "0.001 times the change of y per s" in found.what
+    assert "0.001 times the change in y per s" in found.what
 
 
 def test_all_faults_of_a_message_are_found_in_one_pass(tmp_path):

@@ -159,7 +159,7 @@ def test_where_nearly_all_are_wrong_it_is_the_file_and_else_each_trajectory(wron
 def test_only_orbits_of_a_body_in_lengths_and_times_are_judged():
     given = tracks(1, 1)
     (one,) = orbit_findings(content(given, frame="GCRF, EARTH"), given)
-    assert one.what.startswith("not an orbit of the Earth: positions are 1000 times too large")
+    assert one.what.startswith("not an orbit around the Earth: positions are 1000 times too large")
     assert orbit_findings(content(given, units=("1", "1")), given) == []
     assert orbit_findings(content(given, units=("s", "1")), given) == []
     assert orbit_findings(content(given, units=("1", "km")), given) == []
@@ -178,7 +178,7 @@ def test_another_body_is_judged_by_its_own_attraction():
     t, q = circle(3000.0, MU["MOON"])
     given = [Track("", "a.csv", 2 + np.arange(len(t)), t, 1000 * q)]
     (one,) = orbit_findings(content(given, frame="ICRF, MOON"), given)
-    assert one.what.startswith("not an orbit of the Moon: positions are 1000 times too large")
+    assert one.what.startswith("not an orbit around the Moon: positions are 1000 times too large")
 
 
 def test_the_centre_and_too_few_samples_tell_nothing():

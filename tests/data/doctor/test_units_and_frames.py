@@ -50,10 +50,12 @@ def test_what_is_wrong_is_named(bench, tmp_path):
         "inertial as Earth-fixed": "positions are in an inertial frame",
     }.items():
         found = bench.verdict(bench.ORBITS[mistake](leo, draw), tmp_path)
-        assert [one.what for one in found if one.column == "x"] == [f"not an orbit of the Earth: {expected}"]
+        assert [one.what for one in found if one.column == "x"] == [
+            f"not an orbit around the Earth: {expected}"
+        ]
         assert {one.level for one in found} == {"fault"}
     found = bench.verdict(bench.ORBITS["m/s as km/s"](leo, draw), tmp_path)
-    assert {one.what for one in found} == {f"v{x} is 1000 times the change of {x} per s" for x in "xyz"}
+    assert {one.what for one in found} == {f"v{x} is 1000 times the change in {x} per s" for x in "xyz"}
     assert "Correct the unit: metres given as km" in found[0].remedy
     heavy = leo._replace(v=2.5 * leo.v)
     assert "is 2.5 times the change" in bench.verdict(heavy, tmp_path)[0].what
@@ -101,7 +103,7 @@ def test_angles_may_jump_by_a_turn_and_not_swing_too_far(tmp_path):
     turning = 0.5 * np.arange(30.0)
     assert angles(tmp_path, turning) == []
     wrapped = (turning + np.pi) % (2 * np.pi) - np.pi
-    said = "an angle that jumps by a turn, 2 times: read as continuous"
+    said = "an angle that jumps by a full turn, 2 times: read as continuous"
     assert angles(tmp_path, wrapped) == [("note", 1, "q", said)]
     swing = np.cos(0.3 * np.arange(60.0))
     assert angles(tmp_path, 3 * swing) == []
@@ -115,9 +117,9 @@ def test_canonical_momenta_that_are_no_mass_times_velocity_are_only_warned_of(tm
     path = [tmp_path / "a.csv"]
     assert of_columns(path, FileReading(weighed=True), mass=3.0) == []
     (found,) = of_columns(path, FileReading(weighed=True), mass=1.0)
-    assert (found.level, found.what) == ("warning", "p over the mass is 3 times the change of q per 1")
+    assert (found.level, found.what) == ("warning", "p over the mass is 3 times the change in q per 1")
     (found,) = of_columns(path, FileReading())
-    assert (found.level, found.what) == ("fault", "momenta of an unspecified mass")
+    assert (found.level, found.what) == ("fault", "momenta without a stated mass")
 
 
 @pytest.fixture
@@ -178,7 +180,7 @@ def test_a_training_asks_first(mislabelled, tmp_path, capsys):
     assert call("ahnn.train", *command) == 2
     said = capsys.readouterr().err
     assert (
-        "swings.csv, row 1, column v: expected valid data; received: v is 100 times the change of q per s"
+        "swings.csv, row 1, column v: expected valid data; received: v is 100 times the change in q per s"
         in said
     )
     assert "`python -m ahnn.data check` lists all faults. Set system.unsound=true to train anyway" in said

@@ -50,14 +50,14 @@ def test_a_factor_between_units_is_named_whichever_is_the_larger():
     for factor, said in UNITS_TAKEN:
         for ratio in (factor, 1 / factor):
             (one,) = found(swing(factor=ratio))
-            assert (one.level, one.what) == ("fault", f"v is {ratio:.4g} times the change of q per s")
+            assert (one.level, one.what) == ("fault", f"v is {ratio:.4g} times the change in q per s")
             assert one.remedy.startswith(f"Correct the unit: {said}")
 
 
 def test_other_factors_and_those_of_the_wrong_sign_are_no_unit():
     for ratio in (-1000.0, -0.001, 1100.0, 930.0, 2.0, 0.5):
         (one,) = found(swing(factor=ratio))
-        assert one.what == f"v is {ratio:.4g} times the change of q per s"
+        assert one.what == f"v is {ratio:.4g} times the change in q per s"
         assert one.remedy.startswith("If it is a momentum")
 
 
@@ -65,7 +65,7 @@ def test_what_is_not_even_proportional_is_told_apart():
     track = swing()
     track.values[:, 1] = np.cos(7 * track.times)
     (one,) = found(track)
-    assert one.what == "v is not the change of q per s, nor proportional to it"
+    assert one.what == "v is neither the change in q per s nor proportional to it"
 
 
 def test_two_percent_need_no_explanation_and_four_do():
@@ -76,7 +76,7 @@ def test_two_percent_need_no_explanation_and_four_do():
 def test_momenta_are_over_the_mass_and_a_doubt_about_them_is_a_warning():
     assert found(swing(factor=4.0), momenta=True, mass=4.0) == []
     (one,) = found(swing(factor=8.0), momenta=True, mass=4.0)
-    assert (one.level, one.what) == ("warning", "v over the mass is 2 times the change of q per s")
+    assert (one.level, one.what) == ("warning", "v over the mass is 2 times the change in q per s")
     assert len(found(swing(factor=8.0), mass=8.0)) == 1  # of a velocity the mass does not count
 
 
@@ -90,7 +90,7 @@ def test_short_trajectories_are_judged_together():
     short = [swing(str(k), 60.0 if k == 2 else 1.0, count=9) for k in range(6)]
     assert found(*short) == []
     (one,) = found(*[swing(str(k), 60.0, count=9) for k in range(6)])
-    assert one.what == "v is 60 times the change of q per s"
+    assert one.what == "v is 60 times the change in q per s"
     longer = [swing(str(k), 60.0 if k == 2 else 1.0, count=16, first=100 * k) for k in range(6)]
     assert [one.row for one in found(*longer)] == [200]
 

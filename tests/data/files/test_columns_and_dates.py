@@ -20,7 +20,7 @@ def test_columns_that_nothing_is_read_of_are_said(tmp_path):
         ("sd_x", "not used"),
     ]
     assert [one.what for one in notes] == [
-        "1 line skipped, starting with #",
+        "1 line starting with # skipped",
         "sd_x: used for a start, but not for training",
     ]
     remedy = "For training, set one standard deviation for all samples: sensor=recorded data.noise=..."
@@ -40,7 +40,7 @@ def test_an_index_of_pandas_and_other_metadata_are_no_columns(tmp_path):
     found, notes = said(tmp_path / "a")
     assert found.positions == ("x",)
     assert [one.what for one in notes] == [
-        "not used: the index __index_level_0__ of pandas",
+        "not used: the pandas index __index_level_0__",
         "not used: metadata units",
     ]
 
@@ -82,7 +82,7 @@ def test_a_leap_second_of_another_time_zone_and_offsets_of_clocks_that_have_none
     assert instant("2017-01-01T01:59:60+02:00", utc=True) == instant("2016-12-31T23:59:60", utc=True)
     with pytest.raises(ValueError, match="without an offset"):
         instant("2026-01-01T12:00:00+02:00", utc=False)
-    with pytest.raises(ValueError, match="an offset from UTC"):
+    with pytest.raises(ValueError, match="a UTC offset"):
         instant("2026-01-01T12:00:00+77:00", utc=True)
 
 

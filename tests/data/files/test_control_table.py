@@ -53,11 +53,11 @@ def test_times_that_differ_by_rounding_are_the_same(span):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("t,v\n0,1\n", "row 1: expected columns u, the controls; received t, v"),
-        ("s,u\n0,1\n", "expected one column t or time"),
-        ("t,time,u\n0,0,1\n", "expected one column t or time"),
-        ("t,u\n0,1\n0,2\n3,1\n", "row 3, column t: expected times that increase; received 0"),
-        ("t,u\n0,1\n2,3\n1,2\n", "row 4, column t: expected times that increase; received 1"),
+        ("t,v\n0,1\n", "row 1: expected the control columns u; received t, v"),
+        ("s,u\n0,1\n", "expected one column named t or time"),
+        ("t,time,u\n0,0,1\n", "expected one column named t or time"),
+        ("t,u\n0,1\n0,2\n3,1\n", "row 3, column t: expected increasing times; received 0"),
+        ("t,u\n0,1\n2,3\n1,2\n", "row 4, column t: expected increasing times; received 1"),
         ("t,u\n0,1\n1,\n", "row 3, column u: expected a number in each row; received none. Repeat"),
         ("t,u\n,1\n", "row 2, column t: expected a number in each row; received none"),
         ("t [km],u\n0,1\n", "expected a unit compatible with s; received km"),
@@ -85,7 +85,7 @@ def test_what_is_no_table_is_refused(tmp_path):
 def test_a_sidecar_of_controls_says_neither_columns_nor_a_frame(tmp_path, said):
     (tmp_path / "c.csv").write_text("t,u\n0,1\n")
     (tmp_path / "c.yaml").write_text(said)
-    with pytest.raises(UserError, match="expected units and controls in the sidecar of a file of controls"):
+    with pytest.raises(UserError, match="expected only units and controls in the sidecar of a control file"):
         read_controls(tmp_path / "c.csv", ONE)
 
 

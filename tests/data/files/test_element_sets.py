@@ -51,9 +51,9 @@ def test_lines_without_their_other_one_are_faults_and_the_next_set_is_read():
     alone = "a line 2 after it"
     assert sets(FIRST, FIRST, SECOND) == ([2], [(1, alone)])
     assert sets(FIRST, SECOND, FIRST) == ([1], [(3, alone)])
-    assert sets(SECOND, FIRST, SECOND) == ([2], [(1, "a line 1 of '00005' before it")])
-    assert sets(FIRST, OTHER[1], *OTHER) == ([3], [(2, "a line 1 of '00006' before it")])
-    assert sets(FIRST, SECOND, SECOND) == ([1], [(3, "a line 1 of '00005' before it")])
+    assert sets(SECOND, FIRST, SECOND) == ([2], [(1, "a line 1 for '00005' before it")])
+    assert sets(FIRST, OTHER[1], *OTHER) == ([3], [(2, "a line 1 for '00006' before it")])
+    assert sets(FIRST, SECOND, SECOND) == ([1], [(3, "a line 1 for '00005' before it")])
 
 
 def test_a_damaged_line_takes_its_set_with_it_and_no_other():

@@ -86,10 +86,10 @@ def test_epochs_of_parquet_and_of_several_files_in_minutes(tmp_path):
 def test_an_epoch_that_is_none_is_named(tmp_path):
     for bad in ("2024-02-30T00:00:00", "1.5", "tomorrow"):
         (tmp_path / "a.csv").write_text(f"t [UTC],x [km]\n2024-02-01T00:00:00,1\n{bad},2\n")
-        with pytest.raises(UserError, match=r"a.csv, row 3, column t: expected (an epoch|a date)"):
+        with pytest.raises(UserError, match=r"a.csv, row 3, column t: expected (an epoch|a calendar date)"):
             Files("mine", str(tmp_path / "a.csv"))
     (tmp_path / "a.csv").write_text("t [EST],x [km]\n2024-02-01T00:00:00,1\n")
-    with pytest.raises(UserError, match=r"column t: expected a time scale of epochs, UTC, TAI"):
+    with pytest.raises(UserError, match=r"column t: expected a time scale for the epochs: one of UTC, TAI"):
         Files("mine", str(tmp_path / "a.csv"))
 
 

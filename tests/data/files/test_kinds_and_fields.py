@@ -42,7 +42,7 @@ def test_a_table_is_one_whatever_the_ends_of_its_lines(tmp_path):
 
 FOREIGN = {
     "CCSDS_OPM_VERS = 2.0\n": "orbit parameter message (OPM)",
-    "CCSDS_OMM_VERS = 2.0\n": "which SGP4 propagates from the mean elements (OMM)",
+    "CCSDS_OMM_VERS = 2.0\n": "that SGP4 propagates from the mean elements (OMM)",
     "CCSDS_TDM_VERS = 1.0\n": "tracking data message (TDM)",
     "CCSDS_OCM_VERS = 3.0\n": "orbit comprehensive message (OCM)",
     "CCSDS_CDM_VERS = 1.0\n": "conjunction data message (CDM)",
@@ -50,7 +50,7 @@ FOREIGN = {
     "CCSDS_XYZ_VERS = 1.0\n": "a CCSDS message XYZ",
     '<?xml version="1.0"?>\n<opm version="2.0"><body/></opm>': "orbit parameter message (OPM)",
     "<ndm><oem><body/></oem><tdm/></ndm>": "tracking data message (TDM)",
-    "<html><body/></html>": "<html> in it",
+    "<html><body/></html>": "one with <html>",
     "#dP2024  3  1 12  0  0.00000000      96 ORBIT IGb20 HLM  IGS\n": "SP3",
     "H1 CPF  2  SGF 2016 02 13 01  544 lageos2\n": "CPF",
     "h1 crd  1 2016 02 14 00\n": "CRD",
@@ -101,11 +101,11 @@ def test_states_outside_the_useable_span_are_no_data(tmp_path, message):
     found, notes = said(path)
     assert np.allclose(found.tracks[0].values, orbit(10)[1][2:8], rtol=1e-14, atol=0)
     assert (found.epoch, found.tracks[0].times[-1]) == (START + 120 * 10**12, 300.0)
-    assert "4 of 10 states not used, outside USEABLE_START_TIME to USEABLE_STOP_TIME" in notes[0].what
+    assert "4 of 10 states are outside USEABLE_START_TIME to USEABLE_STOP_TIME and not used" in notes[0].what
     (read,) = read_oem(path)
     assert np.allclose(read.states, orbit(10)[1][2:8], rtol=1e-14, atol=0)
     late = (span[0], span[1].replace("T12:07", "T11:00"))
-    assert "a state from USEABLE_START_TIME" in refused(changed(tmp_path, message, late))
+    assert "a state between USEABLE_START_TIME" in refused(changed(tmp_path, message, late))
 
 
 def test_what_is_not_used_is_said_once_and_logged(tmp_path, message, caplog):
@@ -117,7 +117,7 @@ def test_what_is_not_used_is_said_once_and_logged(tmp_path, message, caplog):
         ("warning", notes[0].what),
         ("note", "not used: X_DDOT, Y_DDOT, Z_DDOT, COMMENT, INTERPOLATION, INTERPOLATION_DEGREE"),
     ]
-    assert "USABLE_START_TIME is not a keyword of an OEM" in notes[0].what
+    assert "USABLE_START_TIME is not an OEM keyword" in notes[0].what
     assert "did you mean 'USEABLE_START_TIME'?" in notes[0].what
     with caplog.at_level(logging.INFO):
         Files("orbit", str(path))
@@ -129,7 +129,7 @@ def test_what_is_not_used_is_said_once_and_logged(tmp_path, message, caplog):
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("= 2.0", "= 7.0", "expected version 1.0, 2.0, 3.0 of an OEM; received '7.0'"),
+        ("= 2.0", "= 7.0", "expected OEM version 1.0, 2.0 or 3.0; received '7.0'"),
         (
             "ORIGINATOR",
             "SEMI_MAJOR_AXIS",
@@ -150,11 +150,11 @@ def test_what_belongs_to_no_ephemeris_is_refused(tmp_path, message, old, new, ex
         (
             "</data>",
             "<keplerianElements/></data>",
-            "<keplerianElements> in it. Give the ephemeris in a separate file",
+            "one with <keplerianElements>. Give the ephemeris in a separate file",
         ),
         ("<X>", "<X>1</X><X>", "column X: expected each element once"),
         ("<X_DOT>", '<X_DOT units="m/s">', "column X_DOT: expected units km/s; received 'm/s'"),
-        ('version="2.0"', 'version="9"', "expected version 1.0, 2.0, 3.0 of an OEM"),
+        ('version="2.0"', 'version="9"', "expected OEM version 1.0, 2.0 or 3.0"),
     ],
 )
 def test_what_belongs_to_no_ephemeris_in_xml_is_refused(tmp_path, old, new, expected):

@@ -15,55 +15,58 @@ GOOD = "id,t [s],x [km],vx [km/s]\na,0,1,2\na,1,2,3\nb,0,1,2\nb,1,2,3\n"
 FAULTS = {
     "no line": ("", "data.csv: expected a header and a row for each sample; received no line"),
     "only a header": (GOOD[:26], "row 1: expected a row for each sample; received only a header"),
-    "no header": ("0,1,2\n1,2,3\n", "data.csv, row 1: expected names of columns"),
+    "no header": ("0,1,2\n1,2,3\n", "data.csv, row 1: expected column names"),
     "text": (GOOD.replace("a,1,2,3", "a,1,two,3"), "row 3, column x: expected a number; received 'two'"),
     "underscore": (GOOD.replace("a,1,2,3", "a,1,2_0,3"), "row 3, column x: expected a number"),
     "infinite": (GOOD.replace("b,0,1,2", "b,0,1,-inf"), "row 4, column vx: expected a finite number"),
     "short row": (GOOD.replace("b,0,1,2", "b,0,1"), "row 4: expected 4 cells, as in the header; received 3"),
     "long row": (GOOD.replace("b,0,1,2", "b,0,1,2,9"), "row 4: expected 4 cells"),
-    "no time": (GOOD.replace("t [s]", "u [s]"), "row 1: expected one column t or time"),
-    "two times": (GOOD.replace("id", "time [s]"), "expected one column t or time"),
+    "no time": (GOOD.replace("t [s]", "u [s]"), "row 1: expected one column named t or time"),
+    "two times": (GOOD.replace("id", "time [s]"), "expected one column named t or time"),
     "time missing": (GOOD.replace("a,1,2,3", "a,,2,3"), "row 3, column t: expected a time; received none"),
     "duplicate": (
         GOOD.replace("b,1,2,3", "b,0,2,3"),
-        "row 5, column t: expected each time of b once; received 0.0 again, as in row 4. Give each",
+        "row 5, column t: expected each time of b once; received 0.0, which duplicates row 4. Give each",
     ),
     "repeated row": (
         GOOD.replace("b,1,2,3", "b,0,1,2"),
-        "row 5, column t: expected each time of b once; received 0.0 again, as in row 4. Remove the repeated",
+        "row 5, column t: expected each time of b once; received 0.0, which duplicates row 4. Remove the",
     ),
     "disorder": (
         GOOD.replace("a,1,2,3", "a,-1,2,3"),
-        "row 3, column t: expected a time of a after 0.0 of row 2; received -1.0",
+        "row 3, column t: expected a time of a after 0.0 in row 2; received -1.0",
     ),
-    "twice": (GOOD.replace("id", "x"), "row 1, column x: expected a name for each column; received it twice"),
+    "twice": (
+        GOOD.replace("id", "x"),
+        "row 1, column x: expected a different name for each column; received it twice",
+    ),
     "unknown unit": (GOOD.replace("x [km]", "x [miles]"), "column x: expected a unit, a product of powers"),
     "two names of a trajectory": (
         GOOD.replace("x [km]", "trajectory"),
-        "row 1: expected one column t or time and at most one id or trajectory; received ",
+        "row 1: expected one column named t or time, and at most one named id or trajectory",
     ),
     "no length": (GOOD.replace("x [km]", "x [kg]"), "column x: expected a length, an angle or [1]"),
     "no time unit": (GOOD.replace("t [s]", "t [m]"), "column t: expected a time or [1]; received 'm'"),
-    "speed": (GOOD.replace("[km/s]", "[km]"), "column vx: expected the unit of a km per time, a velocity"),
+    "speed": (GOOD.replace("[km/s]", "[km]"), "column vx: expected the unit of a velocity (km per time)"),
     "unit missing": (
         GOOD.replace("x [km]", "x", 1),
         "column x: expected a unit, since other columns have one",
     ),
     "half": (
         GOOD.replace("id", "y [km]").replace("a", "0").replace("b", "1"),
-        "column y: expected its velocities",
+        "column y: expected velocities for all positions, like vx",
     ),
     "velocity twice": (
         "t,x,vx,v_x\n0,1,2,3\n",
-        "row 1: expected a velocity or a momentum of each position; received vx, v_x",
+        "row 1: expected a velocity or a momentum for each position; received vx, v_x",
     ),
     "both": (
         "t,x,vx,px\n0,1,2,3\n",
-        "row 1: expected a velocity or a momentum of each position; received vx, px",
+        "row 1: expected a velocity or a momentum for each position; received vx, px",
     ),
     "momentum of no mass": (
         GOOD.replace("vx [km/s]", "px [kg km/s]"),
-        "system.mass: expected the mass of p = m dq/dt for the momenta px",
+        "system.mass: expected the mass in p = m dq/dt for the momenta px",
     ),
     "all missing": (
         GOOD.replace("b,0,1,2", "b,0,,2").replace("b,1,2,3", "b,1,,3"),
@@ -99,9 +102,9 @@ def test_a_fault_is_named_with_its_place(tmp_path, fault):
         ("units: {z: km}", "expected a column 'z' (units)"),
         ("units: {x: m}", "column x: expected [m], as in the sidecar; received [km]. State it once"),
         ("columns: {time: s}", "expected a column 's' (time)"),
-        ("columns: {times: t}", "expected columns of time, id, positions, velocities, momenta"),
+        ("columns: {times: t}", "expected one of the roles time, id, positions, velocities, momenta"),
         ("columns: {time: t}", "expected one time, at most one id, positions"),
-        ("columns: {time: t, positions: [x, id], velocities: vx}", "as many velocities or momenta"),
+        ("columns: {time: t, positions: [x, id], velocities: vx}", "equally many velocities or momenta"),
     ],
 )
 def test_a_fault_of_a_sidecar(tmp_path, sidecar, expected):
@@ -120,8 +123,8 @@ def test_a_file_that_is_none(tmp_path):
     good.write_text(GOOD)
     with pytest.raises(UserError, match=r"expected different files; received .*good.csv twice"):
         Files("mine", [str(good), f"{tmp_path}/../{tmp_path.name}/good.csv"])
-    assert "row 2: expected text in UTF-8" in message_of(tmp_path, b"t,x,vx\n0,\xff,1\n")
-    assert "row 3: expected text in UTF-8" in message_of(tmp_path, b"t,x,vx\n0,1,1\n\xff,1,1\n")
+    assert "row 2: expected UTF-8 text" in message_of(tmp_path, b"t,x,vx\n0,\xff,1\n")
+    assert "row 3: expected UTF-8 text" in message_of(tmp_path, b"t,x,vx\n0,1,1\n\xff,1,1\n")
 
 
 def test_a_gap_that_separates_two_trajectories(tmp_path):
@@ -170,7 +173,7 @@ def test_decimal_commas_are_one_fault(tmp_path):
     expected = (
         "row 2, column t: expected a number with a decimal point; received '0,0', with a decimal comma. "
     )
-    assert str(caught.value).endswith(f"{expected}Write a point in place of each decimal comma of the file")
+    assert str(caught.value).endswith(f"{expected}Replace each decimal comma in the file by a point")
 
 
 @pytest.mark.parametrize("binary", [False, True], ids=["text", "parquet"])

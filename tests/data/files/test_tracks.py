@@ -86,9 +86,9 @@ def test_times_that_do_not_increase_are_named_with_the_last_that_did():
     assert found.times.tolist() == [0, 2, 3, 4]
     assert [(fault.place.row, fault.expected, fault.received) for fault in faults] == [
         (4, "a time", "none"),
-        (5, "a time of a after 2.0 of row 3", "1.0"),
-        (6, "each time of a once", "2.0 again, as in row 3"),
-        (8, "each time of a once", "3.0 again, as in row 7"),
+        (5, "a time of a after 2.0 in row 3", "1.0"),
+        (6, "each time of a once", "2.0, which duplicates row 3"),
+        (8, "each time of a once", "3.0, which duplicates row 7"),
     ]
     assert len(ordered(track([]), "t").times) == 0
 
@@ -106,7 +106,7 @@ def test_times_that_restart_are_one_fault():
     assert [fault.place.row for fault in faults] == [5, 6, 7, 8]
     faults.clear()
     ordered(track([0, 1, 2, 0]), "t", faults.append)  # one wrong time
-    assert [fault.expected for fault in faults] == ["a time of a after 2.0 of row 4"]
+    assert [fault.expected for fault in faults] == ["a time of a after 2.0 in row 4"]
 
 
 def test_shorter_trajectories_end_with_nothing():

@@ -49,7 +49,7 @@ def test_a_table_of_wrapped_angles_is_read_as_one_that_goes_on(tmp_path, sign, u
         assert np.abs(row - row[0] - (whole - whole[0])).max() < 1e-12
     findings = examine([path], FileReading(), None).findings
     assert {one.level for one in findings} == {"note"}
-    assert any("jumps by a turn, 10 times" in one.what for one in findings)
+    assert any("jumps by a full turn, 10 times" in one.what for one in findings)
 
 
 def test_a_number_that_is_missing_at_the_jump_loses_no_turn(tmp_path):

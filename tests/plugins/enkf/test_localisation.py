@@ -78,7 +78,7 @@ def test_few_members_follow_a_chain_that_they_lose_without_it(form, model):
 
 def test_what_has_no_place_on_the_chain_is_refused():
     enkf = EnsembleKalmanFilter(ensemble=5, localisation={"radius": 2, "coordinates": 4})
-    with pytest.raises(UserError, match="expected states of a multiple of 4 components"):
+    with pytest.raises(UserError, match="expected states with a multiple of 4 components"):
         enkf.start(initial_belief(torch.zeros(1, 9), torch.eye(9)))
     with pytest.raises(UserError, match="radius: expected at most 2, half the ring"):
         Localisation(radius=3.0, coordinates=4, ring=True)

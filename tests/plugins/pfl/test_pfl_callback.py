@@ -139,7 +139,7 @@ def test_a_single_epoch_is_enough_and_none_is_refused(tmp_path: Path):
     callback, epochs = PFLCallback(run_dir=str(tmp_path), **SHORT), SimpleNamespace(is_global_zero=True)
     for wrong in (None, 0, -1):
         epochs.max_epochs = wrong
-        with pytest.raises(UserError, match=f"expected max_epochs >= 1 of the trainer; received {wrong}"):
+        with pytest.raises(UserError, match=f"expected trainer.max_epochs >= 1; received {wrong}"):
             callback.on_fit_start(epochs, None)  # pyright: ignore[reportArgumentType]
     epochs.max_epochs = 1
     callback.on_fit_start(epochs, None)  # pyright: ignore[reportArgumentType]

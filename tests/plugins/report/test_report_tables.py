@@ -181,7 +181,7 @@ def test_a_system_of_other_units_or_another_name_has_no_numbers_of_the_paper(tmp
     write(tmp_path / "a" / "x", results(rows, space=SPRING._replace(units=ORBIT.units)))
     found = board(collect([tmp_path / "a"]), "mass_spring")
     assert not is_of_paper(found)
-    assert any("units differ from the paper" in text for text in remarks(found))
+    assert any("units differ from those of the paper" in text for text in remarks(found))
     write(tmp_path / "b" / "x", results(rows, space=SPRING._replace(name="pendulum")))
     other = board(collect([tmp_path / "b"]), "pendulum")
     assert not is_of_paper(other)

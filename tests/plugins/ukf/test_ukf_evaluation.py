@@ -293,6 +293,6 @@ def test_without_a_perturbed_start_the_true_one_is_filtered_and_drawn(spring: Ca
 
 def test_data_without_equations_are_refused(spring: Case) -> None:
     with pytest.raises(
-        UserError, match="system: expected a system with known equations; received data of spring"
+        UserError, match="system: expected a system with known equations; received data for spring"
     ):
         run(dataclasses.replace(spring, truth=None))

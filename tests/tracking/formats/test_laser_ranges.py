@@ -22,7 +22,7 @@ def test_passes_and_stations_of_a_satellite_are_one():
     assert data.station.tolist() == [0, 0, 0, 0, 0, 1, 1]
     assert np.allclose(data.values[[0, 3, 6], 0], HALF * np.array([0.04, 0.0381, 0.0405]), rtol=1e-14, atol=0)
     assert data.wavelength.tolist() == [0.532] * 5 + [0.5321] * 2
-    assert "descriptions of instruments" in data.remarks[0]
+    assert "instrument descriptions" in data.remarks[0]
 
 
 def test_seconds_of_the_day_begin_again_or_go_on_after_midnight():
@@ -61,16 +61,24 @@ def test_version_2_with_two_colours():
     (data,) = crd_data(CRD2, "a.np2")
     assert (data.object, data.stations) == ("LAGEOS1", ("7810",))
     assert data.wavelength.tolist() == [0.846, 0.423, 0.846]
-    assert "records of stations" in data.remarks[0]
+    assert "station records" in data.remarks[0]
 
 
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("h1 CRD  1", "h1 CRD  3", "row 1, column record H1: expected CRD of version 1 or 2"),
+        ("h1 CRD  1", "h1 CRD  3", "row 1, column record H1: expected CRD version 1 or 2"),
         ("h4  1 2016", "h4  0 2016", "expected normal points (data type 1); received full-rate data"),
-        (" 0  0 0 0 0 1 0 2 0\nc0", " 0  0 1 0 0 1 0 2 0\nc0", "expected refraction not yet corrected"),
-        (" 0  0 0 0 0 1 0 2 0\nc0", " 0  0 0 0 0 0 0 2 0\nc0", "expected the station's delay corrected"),
+        (
+            " 0  0 0 0 0 1 0 2 0\nc0",
+            " 0  0 1 0 0 1 0 2 0\nc0",
+            "expected ranges not yet corrected for refraction",
+        ),
+        (
+            " 0  0 0 0 0 1 0 2 0\nc0",
+            " 0  0 0 0 0 0 0 2 0\nc0",
+            "expected ranges corrected for the station delay",
+        ),
         (" 0  0 0 0 0 1 0 2 0\nc0", " 0  0 0 0 0 1 0 1 0\nc0", "expected two-way ranges"),
         ("22195 0 1", "22195 1 3", "expected a satellite with reflectors; received a transponder"),
         ("7090  5", "pad  5", "row 2, column record H2: expected name, pad, system, occupancy and clock"),
@@ -80,14 +88,18 @@ def test_version_2_with_two_colours():
             "row 10, column record 11: expected a",
         ),
         ("0.040000000000", "4000.0", "expected a number from 0.0001 to 30; received '4000.0'"),
-        ("std 2  120.0     94", "std 5  120.0     94", "expected epoch event 0, 1 or 2 of a two-way range"),
+        ("std 2  120.0     94", "std 5  120.0     94", "expected epoch event 0, 1 or 2 for a two-way range"),
         ("85260.000562600000", "45260.0005", "expected a time within its session (H4)"),
         ("983.70 301.40", "983.70 1.40", "expected a number from 180 to 340"),
         ("c0 0  532.000", "c0 0  5320000", "expected a number from 200 to 12000"),
         ("h8\n", "", "expected record H8 at the end of each session; received another file"),
-        ("h2 YARL", "x2 YARL", "row 2, column record X2: expected a record of laser ranging data"),
+        ("h2 YARL", "x2 YARL", "row 2, column record X2: expected a CRD record"),
         ("2016  2 13 23 40", "2016  2 30 23 40", "expected year, month and day; received '2016 2 30'"),
-        ("C0 0 532.10 IDAA IDAB IDAJ IDAV", "00", "expected record C0 of its configuration; received 'IDAA'"),
+        (
+            "C0 0 532.10 IDAA IDAB IDAJ IDAV",
+            "00",
+            "expected record C0 for its configuration; received 'IDAA'",
+        ),
     ],
 )
 def test_what_is_wrong_is_refused_by_its_line(old, new, said):

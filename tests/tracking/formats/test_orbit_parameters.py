@@ -65,7 +65,11 @@ def test_a_prediction_from_it_is_that_from_an_ephemeris(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("CCSDS_OPM_VERS = 2.0", "CCSDS_OPM_VERS = 5.0", "row 1: expected version 1.0, 2.0, 3.0"),
+        (
+            "CCSDS_OPM_VERS = 2.0",
+            "CCSDS_OPM_VERS = 5.0",
+            "row 1: expected an orbit parameter message (OPM), version 1.0, 2.0 or 3.0",
+        ),
         ("6503.514000 [km]", "6503514.0 [m]", "row 11, column X: expected units km; received 'm'"),
         ("6503.514000", "65o3.514", "column X: expected a number; received '65o3.514'"),
         ("Y = 1239.647000 [km]\n", "", "column Y: expected a value in an orbit parameter message (OPM)"),
@@ -73,7 +77,7 @@ def test_a_prediction_from_it_is_that_from_an_ephemeris(tmp_path, monkeypatch):
         ("REF_FRAME = EME2000\n", "", "column REF_FRAME: expected a value"),
         ("T12:00:00.000", "T25:00:00.000", "column EPOCH: expected a time of day"),
         ("CZ_DOT_Z = 3.5e-08\n", "", "column CZ_DOT_Z: expected a value"),
-        ("MASS = 3000.0 [kg]", "MASS: 3000.0 [kg]", "expected KEYWORD = value of an orbit parameter message"),
+        ("MASS = 3000.0 [kg]", "MASS: 3000.0 [kg]", "expected KEYWORD = value in an orbit parameter message"),
     ],
 )
 def test_what_is_wrong_is_refused_by_its_line(old, new, said, tmp_path):

@@ -57,7 +57,7 @@ def test_version_1_has_no_number_within_the_day():
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("H1 CPF  2", "H1 CPF  4", "row 1, column record H1: expected CPF of version 1 or 2"),
+        ("H1 CPF  2", "H1 CPF  4", "row 1, column record H1: expected CPF version 1 or 2"),
         ("900 1 1  0 0 0 1", "900 1 1  1 0 0 1", "received an inertial frame, true of date"),
         ("900 1 1  0 0 0 1", "900 1 1", "row 2, column record H2: expected 20 fields; received 18"),
         (
@@ -70,9 +70,9 @@ def test_version_1_has_no_number_within_the_day():
         ("58282      0.000000  0", "58282      0.000000  1", "expected no leap second (0); received '1'"),
         ("58282      0.000000", "58282  99990.000000", "expected a number from 0 to 86401"),
         ("58282      0.000000", "58282    900.000000", "expected each time of orekitSat once"),
-        ("10 0 58282      0.0", "19 0 58282      0.0", "expected a record of a prediction (CPF)"),
+        ("10 0 58282      0.0", "19 0 58282      0.0", "expected a CPF record"),
         ("99\n", "", "expected record 99 at the end; received none. The file is cut off"),
-        (CPF[CPF.index("10 0") :], "", "expected positions (records 10) of a prediction (CPF)"),
+        (CPF[CPF.index("10 0") :], "", "expected positions (records 10) of a laser ranging prediction"),
     ],
 )
 def test_what_is_wrong_in_a_prediction_is_refused_by_its_line(old, new, said):
@@ -115,23 +115,23 @@ def test_time_systems_and_positions_alone(system, clock):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("#dV", "#aV", "row 1: expected #c or #d of an orbit file (SP3); received '#aV'. Versions a and b"),
+        ("#dV", "#aV", "row 1: expected #c or #d, as in SP3 orbit files; received '#aV'. Versions a and b"),
         ("IGS20", "UNDEF", "row 1, column frame: expected a frame that rotates with the Earth"),
         ("       3 ORBIT", "       4 ORBIT", "expected 4 epochs and EOF; received 3. The file is cut off"),
         ("EOF\n", "", "expected 3 epochs and EOF; received 3 without EOF"),
         ("cc GPS", "cc BDT", "row 5, column time system: expected one of GPS, GAL, QZS, UTC, GLO, TAI"),
         ("15100.123456", "15100.12x456", "row 16, column position of G01: expected a number"),
         (" 15100.123456 -20100.654321   8100", "     1.000000      2.000000      1", "km from the centre"),
-        ("*  2024  3  1  0 15", "*  2024  3 41  0 15", "row 15: expected a date of the calendar"),
-        ("*  2024  3  1  0 15", "*  2024  3  1  0  0", "expected each time of G01 once; received 0.0 again"),
+        ("*  2024  3  1  0 15", "*  2024  3 41  0 15", "row 15: expected a calendar date"),
+        ("*  2024  3  1  0 15", "*  2024  3  1  0  0", "expected each time of G01 once; received 0.0, which"),
         (
             "VG01 -12000.000000",
             "VG02 -12000.000000",
             "column velocity of G02: expected a position of the sat",
         ),
-        ("VG01 -12000.000000", "VG01-912000.000000", "expected a velocity up to 12 km/s; received 91.3 km/s"),
-        ("/* made", "<> made", "row 9: expected a line of an orbit file (SP3); received '<> made'"),
-        (SP3[SP3.index("*  2024") :], "", "expected positions (lines P) of an orbit file (SP3)"),
+        ("VG01 -12000.000000", "VG01-912000.000000", "a velocity of at most 12 km/s; received 91.3 km/s"),
+        ("/* made", "<> made", "row 9: expected a line of an SP3 orbit file; received '<> made'"),
+        (SP3[SP3.index("*  2024") :], "", "expected positions (lines P) in an SP3 orbit file"),
     ],
 )
 def test_what_is_wrong_in_a_precise_ephemeris_is_refused_by_its_line(old, new, said):

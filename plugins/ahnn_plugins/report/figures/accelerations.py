@@ -44,7 +44,7 @@ def reference_orbit(anomaly: Tensor, radius: float) -> Tensor:
     nu, i = torch.deg2rad(anomaly), math.radians(INCLINATION)
     semi_latus_rectum = (radius + ALTITUDE) * (1 + ECCENTRICITY)
     r = semi_latus_rectum / (1 + ECCENTRICITY * nu.cos())
-    u = nu - math.pi / 2  # argument of latitude, for a periapsis at 270 degrees
+    u = nu - math.pi / 2  # argument of latitude, for an argument of periapsis of 270 degrees
     return r[:, None] * torch.stack((u.cos(), u.sin() * math.cos(i), u.sin() * math.sin(i)), dim=-1)
 
 

@@ -77,7 +77,10 @@ def _errors(task: Task, run: Kept, teeth: Teeth, start: str) -> Drawing:
         series = (main, _marks(teeth, error))
         shown = torch.cat((-wide[settled], wide[settled], error[settled]))
         panels.append(Panel(series, time_label(run), f"error of {label}", limits=_frame(shown)))
-    caption = f"{_which(run, teeth)}: its error and its band. The scale is set after the first update."
+    caption = (
+        f"{_which(run, teeth)}: its error and its band. The axis is scaled to the values after the first "
+        "update."
+    )
     title = f"error of {run.entry.model} + {run.filter} in its band, {start} start"
     return task.drawing("ukf_error", title, caption, panels)
 
