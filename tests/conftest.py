@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import pytest
 import torch
 from hypothesis import settings
+from tests.compositions import shared
 
 THREADS = os.environ.get("OMP_NUM_THREADS", "1")
 torch.set_num_threads(int(THREADS))
@@ -27,6 +28,13 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         patch.setenv("AHNN_CACHE", folder)
         patch.setenv("OMP_NUM_THREADS", THREADS)
         yield folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compositions() -> Iterator[None]:
+    """Options of conf/ merged once in a session."""
+    with shared():
+        yield
 
 
 @pytest.fixture
