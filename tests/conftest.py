@@ -9,8 +9,8 @@ from collections.abc import Iterator
 
 import pytest
 import torch
+from compositions import shared
 from hypothesis import settings
-from tests.compositions import shared
 
 THREADS = os.environ.get("OMP_NUM_THREADS", "1")
 torch.set_num_threads(int(THREADS))

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from compositions import anew
 from omegaconf import OmegaConf
-from tests.compositions import anew
 
 from ahnn.cli.commandline import compose, config_loader
 from ahnn.errors import UserError
