@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from ahnn.data.generate import generate
 from ahnn.errors import UserError
 from ahnn.estimation import Setting, simulated
-from ahnn.evaluation import Case, Who
+from ahnn.evaluation import Case, Findings, Who
 from ahnn.evaluation.case import perturbations
 from ahnn.evaluation.open_loop import Integrated
 from ahnn.evaluation.results import plain
@@ -33,8 +33,15 @@ ORBITS = Molniya(name="orbits", dt=60.0, steps=130)
 
 
 @pytest.fixture
-def make_case(tmp_path: Path) -> Callable[..., Case]:
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw none, where none are looked at."""
+    monkeypatch.setattr("ahnn.evaluation.estimators.plugin.filter_figures", lambda *_: ({}, {}))
+
+
+@pytest.fixture(scope="module")
+def make_case(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Case]:
     """Return a factory of cases on six trajectories of a system."""
+    folder = tmp_path_factory.mktemp("cases")
 
     def make(system: System, flow: Flow) -> Case:
         return Case(
@@ -50,19 +57,25 @@ def make_case(tmp_path: Path) -> Callable[..., Case]:
             validation=drawn(system, 4, seed=2),
             train=drawn(system, 4, seed=2),
             perturbation=perturbations(system, 6, seed=0),
-            folder=tmp_path,
+            folder=folder,
         )
 
     return make
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def spring(make_case: Callable[..., Case]) -> Case:
     return make_case(SPRING, Integrated(STIFFER, RK4))
 
 
-def test_rows_numbers_arrays_and_figures(spring: Case) -> None:
-    findings = run(spring)
+@pytest.fixture(scope="module")
+def found(spring: Case) -> Findings:
+    """What the default options find on the spring."""
+    return run(spring)
+
+
+def test_rows_numbers_arrays_and_figures(spring: Case, found: Findings) -> None:
+    findings = found  # by the default options
     assert {row.who for row in findings.rows} == {
         Who(process, start, "ukf", span, process == "exact flow")
         for process in ("model", "exact flow")
@@ -125,10 +138,11 @@ def test_parameters_without_covariance_have_a_force_error_in_their_place(
     assert "so force_error is used" in caplog.text
 
 
-def test_same_measurements_for_every_model(spring: Case, make_case: Callable) -> None:
-    other = make_case(SPRING, Integrated(SPRING, RK4))
+@pytest.mark.usefixtures("no_figures")
+def test_same_measurements_for_every_model(found: Findings, make_case: Callable) -> None:
+    other = run(make_case(SPRING, Integrated(SPRING, RK4)))
     floor = Who("exact flow", "perturbed", "ukf", "settled", floor=True)
-    rows = [next(row for row in run(case).rows if row.who == floor) for case in (spring, other)]
+    rows = [next(row for row in one.rows if row.who == floor) for one in (found, other)]
     assert rows[0].scores == rows[1].scores
 
 
@@ -144,6 +158,7 @@ def test_a_model_that_blows_up_ends_in_a_remark(make_case: Callable, tmp_path: P
         figure.savefig(tmp_path / f"{name}.png")
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_smoother_has_its_own_rows_and_is_better(spring: Case) -> None:
     findings = run(spring, group="ukf_smoothed")
     scores = {row.who: row.scores for row in findings.rows}
@@ -175,6 +190,7 @@ def test_estimators_of_whole_arcs_have_their_own_rows(make_case: Callable) -> No
     assert "NIS" not in note
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_ground_station_from_yaml(make_case: Callable) -> None:
     case = make_case(ORBITS, Integrated(ORBITS, RK4))
     findings = run(case, "cadence=10", measurement="ground_station")
@@ -182,6 +198,7 @@ def test_ground_station_from_yaml(make_case: Callable) -> None:
     assert findings.rows[3].scores.position < 3.0  # km; without measurements tens of km
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_a_filter_that_measured_nothing_says_so(make_case: Callable) -> None:
     # Nothing of these orbits stands in the zenith of the pole.
     case = make_case(ORBITS, Integrated(ORBITS, RK4))
@@ -193,8 +210,8 @@ def test_a_filter_that_measured_nothing_says_so(make_case: Callable) -> None:
     json.dumps(plain(findings.numbers), allow_nan=False)
 
 
-def test_the_consistency_is_judged_by_the_band_of_what_is_averaged(spring: Case) -> None:
-    told = run(spring).numbers["filters"]["ukf"]["floor"]["perturbed"]
+def test_the_consistency_is_judged_by_the_band_of_what_is_averaged(found: Findings) -> None:
+    told = found.numbers["filters"]["ukf"]["floor"]["perturbed"]
     rows, degrees = 6 * 3, 1
     low, high = (chi2.ppf(p, rows * degrees) / rows for p in (0.025, 0.975))
     assert told["nis"]["band_95"] == pytest.approx([low, high])
