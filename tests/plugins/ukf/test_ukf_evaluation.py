@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 
 import pytest
@@ -13,54 +12,19 @@ import torch
 from evaluating import run
 from scipy.stats import chi2
 
-from ahnn.data.generate import generate
 from ahnn.errors import UserError
 from ahnn.estimation import Setting, simulated
 from ahnn.evaluation import Case, Findings, Who
-from ahnn.evaluation.case import perturbations
 from ahnn.evaluation.open_loop import Integrated
 from ahnn.evaluation.results import plain
 from ahnn.integrators import INTEGRATORS
 from ahnn.measurements import Position
-from ahnn.systems import MassSpring, Molniya, System
-from ahnn.types import Flow
+from ahnn.systems import MassSpring, Molniya
 
-drawn = cache(generate)
 RK4 = INTEGRATORS["rk4"]
 SPRING = MassSpring(name="spring", dt=0.01, steps=200)
 STIFFER = MassSpring(name="stiffer", dt=0.01, steps=200, stiffness=5.02)
 ORBITS = Molniya(name="orbits", dt=60.0, steps=130)
-
-
-@pytest.fixture
-def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw none, where none are looked at."""
-    monkeypatch.setattr("ahnn.evaluation.estimators.plugin.filter_figures", lambda *_: ({}, {}))
-
-
-@pytest.fixture(scope="module")
-def make_case(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Case]:
-    """Return a factory of cases on six trajectories of a system."""
-    folder = tmp_path_factory.mktemp("cases")
-
-    def make(system: System, flow: Flow) -> Case:
-        return Case(
-            label="mine",
-            assumes="nothing",
-            space=system.space,
-            truth=system,
-            flow=flow,
-            energy=None,
-            integrator=RK4,
-            dt=system.dt,
-            test=drawn(system, 6, seed=1),
-            validation=drawn(system, 4, seed=2),
-            train=drawn(system, 4, seed=2),
-            perturbation=perturbations(system, 6, seed=0),
-            folder=folder,
-        )
-
-    return make
 
 
 @pytest.fixture(scope="module")
@@ -257,6 +221,7 @@ def test_mistakes_are_named(spring: Case, change: str, message: str) -> None:
         run(spring, change)
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_measurements_at_given_times(spring: Case) -> None:
     findings = run(spring, "times=[0.3,0.5,1.7]")
     assert findings.numbers["updates"] == [30, 50, 170]
@@ -265,6 +230,7 @@ def test_measurements_at_given_times(spring: Case) -> None:
     assert all(value > 0 for value in told["position"])
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_satellites_and_whole_states_are_measured_from_yaml(make_case: Callable[..., Case]) -> None:
     case = make_case(ORBITS, Integrated(ORBITS, RK4))
     ranges = run(case, "cadence=10", measurement="gnss_range")
@@ -282,6 +248,7 @@ def test_measurement_noise_is_not_the_initial_error(spring: Case) -> None:
     assert not torch.isclose(noise[:, None], start).any()
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_a_filter_that_spoils_the_velocity_alone_says_so(make_case: Callable[..., Case]) -> None:
     case = make_case(SPRING, Integrated(SPRING, RK4))
     findings = run(case, "process_noise=[0.0,5e-5]")
