@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 import torch
+from compositions import shared
 from hypothesis import settings
 
 THREADS = os.environ.get("OMP_NUM_THREADS", "1")
@@ -27,6 +28,13 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         patch.setenv("AHNN_CACHE", folder)
         patch.setenv("OMP_NUM_THREADS", THREADS)
         yield folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compositions() -> Iterator[None]:
+    """Options of conf/ merged once in a session."""
+    with shared():
+        yield
 
 
 @pytest.fixture

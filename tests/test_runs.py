@@ -132,7 +132,10 @@ def test_overrides_that_name_other_data_are_refused(tmp_path):
 
 
 def test_a_run_is_the_model_that_was_trained(tmp_path):
-    assert call("ahnn.train", *SMALL, "data.precision=64", f"run={tmp_path / 'run'}") == 0
+    assert (
+        call("ahnn.train", *SMALL, "evaluation.figures=false", "data.precision=64", f"run={tmp_path / 'run'}")
+        == 0
+    )
     run = ahnn.load(tmp_path / "run")
     again = ahnn.load(str(tmp_path / "run"), ckpt="last")
     assert {p.dtype for p in run.dynamics.parameters()} == {torch.float64}
@@ -157,7 +160,7 @@ def test_a_run_is_the_model_that_was_trained(tmp_path):
 def test_wrong_arguments_of_a_run_are_named(tmp_path_factory, call_it, message):
     folder = tmp_path_factory.getbasetemp() / "node"
     if not folder.exists():
-        assert call("ahnn.train", "model=node", *SMALL, f"run={folder}") == 0
+        assert call("ahnn.train", "model=node", *SMALL, "evaluation.figures=false", f"run={folder}") == 0
     with pytest.raises(ValueError, match=message):
         call_it(ahnn.load(folder))
 

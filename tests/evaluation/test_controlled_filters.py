@@ -12,14 +12,8 @@ from motions.pushed_spring import PushedSpring
 from ahnn.systems import exact_flow
 
 SYSTEM = PushedSpring(name="pushed", dt=0.05, steps=80)
-OPTIONS = [
-    "cadence=4",
-    "measurement_sd=1e-3",
-    "process_noise=[1e-7,1e-7]",
-    "smoother=true",
-    "least_squares=true",
-]
-OPTIONS += ["start_sd=[0.03,0.03]"]
+FILTER = ["cadence=4", "measurement_sd=1e-3", "process_noise=[1e-7,1e-7]", "start_sd=[0.03,0.03]"]
+OPTIONS = [*FILTER, "smoother=true", "least_squares=true"]
 
 
 @pytest.fixture
@@ -39,7 +33,7 @@ def test_filters_smoothers_and_least_squares_are_consistent_under_pushes(case, n
         assert low < found["model"]["perturbed"]["nees"]["mean"] < high
     blind = dataclasses.replace(case, test=case.test._replace(controls=torch.zeros_like(case.test.controls)))
     assert (
-        run(blind, *OPTIONS, group=name).numbers["filters"][name]["model"]["perturbed"]["nees"]["mean"] > 1e3
+        run(blind, *FILTER, group=name).numbers["filters"][name]["model"]["perturbed"]["nees"]["mean"] > 1e3
     )
 
 

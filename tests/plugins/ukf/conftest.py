@@ -1,8 +1,9 @@
-"""Linear problems, whose exact answer the Kalman filter knows."""
+"""Linear problems, whose exact answer the Kalman filter knows, and cases of small systems."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,15 @@ import pytest
 import torch
 from precise import LinearMeasurement
 from torch import Tensor
+
+from ahnn.data.generate import generate
+from ahnn.evaluation import Case
+from ahnn.evaluation.case import perturbations
+from ahnn.integrators import INTEGRATORS
+from ahnn.systems import System
+from ahnn.types import Flow
+
+drawn = cache(generate)
 
 
 class Linear(NamedTuple):
@@ -69,3 +79,34 @@ def close() -> Callable[[Tensor, Tensor, float], bool]:
         return bool(((actual - expected).abs().amax(dims) <= tolerance * size).all())
 
     return compare
+
+
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw none, where none are looked at."""
+    monkeypatch.setattr("ahnn.evaluation.estimators.plugin.filter_figures", lambda *_: ({}, {}))
+
+
+@pytest.fixture(scope="module")
+def make_case(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Case]:
+    """Return a factory of cases on six trajectories of a system."""
+    folder = tmp_path_factory.mktemp("cases")
+
+    def make(system: System, flow: Flow) -> Case:
+        return Case(
+            label="mine",
+            assumes="nothing",
+            space=system.space,
+            truth=system,
+            flow=flow,
+            energy=None,
+            integrator=INTEGRATORS["rk4"],
+            dt=system.dt,
+            test=drawn(system, 6, seed=1),
+            validation=drawn(system, 4, seed=2),
+            train=drawn(system, 4, seed=2),
+            perturbation=perturbations(system, 6, seed=0),
+            folder=folder,
+        )
+
+    return make

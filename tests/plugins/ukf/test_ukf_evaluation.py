@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 
 import pytest
@@ -13,56 +12,34 @@ import torch
 from evaluating import run
 from scipy.stats import chi2
 
-from ahnn.data.generate import generate
 from ahnn.errors import UserError
 from ahnn.estimation import Setting, simulated
-from ahnn.evaluation import Case, Who
-from ahnn.evaluation.case import perturbations
+from ahnn.evaluation import Case, Findings, Who
 from ahnn.evaluation.open_loop import Integrated
 from ahnn.evaluation.results import plain
 from ahnn.integrators import INTEGRATORS
 from ahnn.measurements import Position
-from ahnn.systems import MassSpring, Molniya, System
-from ahnn.types import Flow
+from ahnn.systems import MassSpring, Molniya
 
-drawn = cache(generate)
 RK4 = INTEGRATORS["rk4"]
 SPRING = MassSpring(name="spring", dt=0.01, steps=200)
 STIFFER = MassSpring(name="stiffer", dt=0.01, steps=200, stiffness=5.02)
 ORBITS = Molniya(name="orbits", dt=60.0, steps=130)
 
 
-@pytest.fixture
-def make_case(tmp_path: Path) -> Callable[..., Case]:
-    """Return a factory of cases on six trajectories of a system."""
-
-    def make(system: System, flow: Flow) -> Case:
-        return Case(
-            label="mine",
-            assumes="nothing",
-            space=system.space,
-            truth=system,
-            flow=flow,
-            energy=None,
-            integrator=RK4,
-            dt=system.dt,
-            test=drawn(system, 6, seed=1),
-            validation=drawn(system, 4, seed=2),
-            train=drawn(system, 4, seed=2),
-            perturbation=perturbations(system, 6, seed=0),
-            folder=tmp_path,
-        )
-
-    return make
-
-
-@pytest.fixture
+@pytest.fixture(scope="module")
 def spring(make_case: Callable[..., Case]) -> Case:
     return make_case(SPRING, Integrated(STIFFER, RK4))
 
 
-def test_rows_numbers_arrays_and_figures(spring: Case) -> None:
-    findings = run(spring)
+@pytest.fixture(scope="module")
+def found(spring: Case) -> Findings:
+    """What the default options find on the spring."""
+    return run(spring)
+
+
+def test_rows_numbers_arrays_and_figures(spring: Case, found: Findings) -> None:
+    findings = found  # by the default options
     assert {row.who for row in findings.rows} == {
         Who(process, start, "ukf", span, process == "exact flow")
         for process in ("model", "exact flow")
@@ -125,10 +102,11 @@ def test_parameters_without_covariance_have_a_force_error_in_their_place(
     assert "so force_error is used" in caplog.text
 
 
-def test_same_measurements_for_every_model(spring: Case, make_case: Callable) -> None:
-    other = make_case(SPRING, Integrated(SPRING, RK4))
+@pytest.mark.usefixtures("no_figures")
+def test_same_measurements_for_every_model(found: Findings, make_case: Callable) -> None:
+    other = run(make_case(SPRING, Integrated(SPRING, RK4)))
     floor = Who("exact flow", "perturbed", "ukf", "settled", floor=True)
-    rows = [next(row for row in run(case).rows if row.who == floor) for case in (spring, other)]
+    rows = [next(row for row in one.rows if row.who == floor) for one in (found, other)]
     assert rows[0].scores == rows[1].scores
 
 
@@ -144,6 +122,7 @@ def test_a_model_that_blows_up_ends_in_a_remark(make_case: Callable, tmp_path: P
         figure.savefig(tmp_path / f"{name}.png")
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_smoother_has_its_own_rows_and_is_better(spring: Case) -> None:
     findings = run(spring, group="ukf_smoothed")
     scores = {row.who: row.scores for row in findings.rows}
@@ -175,6 +154,7 @@ def test_estimators_of_whole_arcs_have_their_own_rows(make_case: Callable) -> No
     assert "NIS" not in note
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_ground_station_from_yaml(make_case: Callable) -> None:
     case = make_case(ORBITS, Integrated(ORBITS, RK4))
     findings = run(case, "cadence=10", measurement="ground_station")
@@ -182,6 +162,7 @@ def test_ground_station_from_yaml(make_case: Callable) -> None:
     assert findings.rows[3].scores.position < 3.0  # km; without measurements tens of km
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_a_filter_that_measured_nothing_says_so(make_case: Callable) -> None:
     # Nothing of these orbits stands in the zenith of the pole.
     case = make_case(ORBITS, Integrated(ORBITS, RK4))
@@ -193,8 +174,8 @@ def test_a_filter_that_measured_nothing_says_so(make_case: Callable) -> None:
     json.dumps(plain(findings.numbers), allow_nan=False)
 
 
-def test_the_consistency_is_judged_by_the_band_of_what_is_averaged(spring: Case) -> None:
-    told = run(spring).numbers["filters"]["ukf"]["floor"]["perturbed"]
+def test_the_consistency_is_judged_by_the_band_of_what_is_averaged(found: Findings) -> None:
+    told = found.numbers["filters"]["ukf"]["floor"]["perturbed"]
     rows, degrees = 6 * 3, 1
     low, high = (chi2.ppf(p, rows * degrees) / rows for p in (0.025, 0.975))
     assert told["nis"]["band_95"] == pytest.approx([low, high])
@@ -240,6 +221,7 @@ def test_mistakes_are_named(spring: Case, change: str, message: str) -> None:
         run(spring, change)
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_measurements_at_given_times(spring: Case) -> None:
     findings = run(spring, "times=[0.3,0.5,1.7]")
     assert findings.numbers["updates"] == [30, 50, 170]
@@ -248,6 +230,7 @@ def test_measurements_at_given_times(spring: Case) -> None:
     assert all(value > 0 for value in told["position"])
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_satellites_and_whole_states_are_measured_from_yaml(make_case: Callable[..., Case]) -> None:
     case = make_case(ORBITS, Integrated(ORBITS, RK4))
     ranges = run(case, "cadence=10", measurement="gnss_range")
@@ -265,6 +248,7 @@ def test_measurement_noise_is_not_the_initial_error(spring: Case) -> None:
     assert not torch.isclose(noise[:, None], start).any()
 
 
+@pytest.mark.usefixtures("no_figures")
 def test_a_filter_that_spoils_the_velocity_alone_says_so(make_case: Callable[..., Case]) -> None:
     case = make_case(SPRING, Integrated(SPRING, RK4))
     findings = run(case, "process_noise=[0.0,5e-5]")
