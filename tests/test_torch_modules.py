@@ -177,8 +177,8 @@ WRONG = {
     "backward map": (lambda: ahnn.FlowMap(2, dt=-0.1), "dt: expected float > 0 or None; received -0.1"),
     "other step": (lambda: ahnn.FlowMap(2, dt=0.1)(START.float(), 0.2), "expected the step used in training"),
     "map": (lambda: ahnn.FlowMap(2, dt=0.1, kind="mlp"), "kind: expected one of sympnet"),
-    "list": (lambda: ahnn.NeuralODE(1)([[1.0, 2.0]], 0.1), "a tensor of 2 components .* received list"),
-    "states": (lambda: ahnn.NeuralODE(1)(START, 0.1), r"of 2 components .* received Tensor \(3, 4\)"),
+    "list": (lambda: ahnn.NeuralODE(1)([[1.0, 2.0]], 0.1), "a tensor with 2 components .* received list"),
+    "states": (lambda: ahnn.NeuralODE(1)(START, 0.1), r"with 2 components .* received Tensor \(3, 4\)"),
     "data": (lambda: ahnn.NeuralODE(2, data=START), "trajectories: expected ahnn.Trajectories"),
     "other data": (lambda: ahnn.NeuralODE(2, data=oscillators()), "data: expected states .* of 4|received"),
     "constant": (
