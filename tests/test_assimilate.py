@@ -107,7 +107,7 @@ MISTAKES = {
     "measurements=fixes.csv measurement.sd=[1,2]": "measurement.sd: expected a standard deviation > 0",
     "measurements=fixes.csv measurement=ground_station": "expected a header with time and range, az",
     "measurements=fixes.csv measurement=ground_station measurement.model.mass=2": "expected mass=1",
-    "measurements=fixes.csv plugins.ukf.bias_sd=1": "define it: measurement.bias_sd",
+    "measurements=fixes.csv plugins.ukf.bias_sd=1": "define it (measurement.bias_sd)",
     "measurements=fixes.csv measurement.bias_sd=a": "bias_sd: expected standard deviations of biases",
     "measurements=fixes.csv measurement.bias_sd=[[1]]": "bias_sd: expected standard deviations of biases",
     "measurements=fixes.csv +measurement@sensors.a=position measurement.bias_sd=1": "defines what each sen",

@@ -97,7 +97,7 @@ MISTAKES = {
     ),
     "oem of nobody knows where": (
         [*NUMBERS, PLAIN, "oem=o.oem", FROM_NOON],
-        "oem: expected frame=, center= of",
+        "oem: expected frame=, center= for",
     ),
 }
 

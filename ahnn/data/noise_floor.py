@@ -158,7 +158,7 @@ def remark_on(
         typical = samples.diff(dim=1).abs().flatten(0, 1).nanmedian(0).values
         suspicious = (floor > SHARE * typical) & (typical > 0)
         advice = (
-            "which this loss would learn. Declare it: sensor=... (sensor=recorded for files), or "
+            "this loss would learn the noise. Declare it: sensor=... (sensor=recorded for files), or "
             "data.noise=... with recipe=measurements (recipe=noisy_states for densely sampled states)"
         )
     else:

@@ -118,7 +118,7 @@ def test_a_motion_that_is_sampled_too_rarely_tells_nothing():
 
 
 @pytest.mark.parametrize(
-    ("stated", "said"), [(0.1, None), (0.3, "data.noise differs"), (0.03, "noise of c0 0.")]
+    ("stated", "said"), [(0.1, None), (0.3, "data.noise differs"), (0.03, "deviations of c0 0.")]
 )
 def test_noise_is_remarked_upon_where_it_matters(stated, said):
     remark = remark_on(*noisy(0.1)[:2], NAMES, UNITS, torch.full((6,), stated, dtype=torch.float64))
@@ -185,4 +185,4 @@ def test_noise_matters_from_a_ten_thousandth_of_the_usual_step_on(times, said):
     still[..., 0] += level / 1e-4 / times * clock
     remark = remark_on(still, clock, ["line", "switch"], ["rad", "1"], None)
     assert (remark is not None) == said
-    assert remark is None or f"noise of line {level:.2g} rad (" in remark
+    assert remark is None or f"deviations of line {level:.2g} rad," in remark

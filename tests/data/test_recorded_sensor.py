@@ -87,7 +87,7 @@ def test_noise_is_remarked_upon_unless_the_training_takes_it_into_account(tmp_pa
     simulated = Simulated(system, trajectories=10, seed=0, cache=str(tmp_path))
     assert module(simulated, None).remark() is None
     drawn = module(simulated, Sensor(simulated.space, measured="state", noise=0.01))
-    assert "which this loss would learn" in (drawn.remark() or "")
+    assert "this loss would learn the noise" in (drawn.remark() or "")
     drawn.follow(SimpleNamespace(), 1)
     assert drawn.remark() is None
     drawn.sensor.deviations = 3 * drawn.sensor.deviations  # as if somebody had stated that

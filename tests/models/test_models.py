@@ -71,7 +71,7 @@ def test_an_mlp_refuses_any_other_time_step(cache):
     flow = ready_model("mlp", data).flow()
     x = data.trajectories("test").states[:, 0]
     for dt in (0.02, torch.tensor([0.01, 0.02], dtype=torch.float64)):
-        with pytest.raises(UserError, match=r"its training, 0.01; received"):
+        with pytest.raises(UserError, match=r"used in training, 0.01; received"):
             flow(x, dt)
     same = torch.full((len(x),), 0.01, dtype=torch.float64)
     assert torch.equal(flow(x, same), flow(x, 0.01))
@@ -84,7 +84,7 @@ def test_the_step_of_a_map_is_known_to_a_millionth(step):
         require_step(step, dt)
     for off in (1 + 2e-6, 1 - 2e-6, math.nan):
         for dt in (off * step, torch.tensor([step, off * step]).double()):
-            with pytest.raises(UserError, match="its training"):
+            with pytest.raises(UserError, match="used in training"):
                 require_step(step, dt)
 
 

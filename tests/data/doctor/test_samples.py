@@ -43,7 +43,7 @@ def test_each_missing_number_is_named():
 def test_a_gap_says_how_many_are_missing_before_which_row(absent, said):
     times = np.cumsum([0.0, *[0.1] * 9, 0.1 * (absent + 1), *[0.1] * 9])
     (one,) = gaps(track(np.sin(times), times), "t", 10.0)
-    assert (one.level, one.row, one.column, one.what) == ("warning", 12, "t", f"a gap: {said} before it")
+    assert (one.level, one.row, one.column, one.what) == ("warning", 12, "t", f"a gap: {said} before this one")
 
 
 @pytest.mark.parametrize(
@@ -159,4 +159,4 @@ def test_files_of_other_columns_are_named_beside_the_first(tmp_path):
         (tmp_path / f"{name}.csv").write_text(f"t [s],x [{unit}]\n{rows}")
     found = examine([tmp_path / f"{name}.csv" for name in "abc"], FileReading()).findings
     assert [(one.level, one.file, one.row) for one in found] == [("fault", str(tmp_path / "b.csv"), 1)]
-    assert found[0].what == f"expected the units of {tmp_path / 'a.csv'}; received different ones"
+    assert found[0].what == f"expected the same units as in {tmp_path / 'a.csv'}; received different ones"
