@@ -148,7 +148,7 @@ def test_what_is_finished_is_kept_shown_and_drawn(tmp_path, capfd, caplog):
         (tmp_path / f"draw_{number}" / "score.json").write_text(json.dumps(one))
     assert call("ahnn.calibrate", "experiment=spring_noisy", "draws=3", f"output={tmp_path}") == 0
     assert f"3 draws in {tmp_path}, 3 of them finished" in caplog.text
-    assert "mean of 3 draws" in capfd.readouterr().out
+    assert "mean over 3 draws" in capfd.readouterr().out
     assert (tmp_path / "calibration.png").stat().st_size > 1000
 
 

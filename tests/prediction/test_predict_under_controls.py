@@ -111,7 +111,7 @@ def test_the_only_control_of_a_table_may_have_any_name_of_a_control(tmp_path):
     (tmp_path / "c.csv").write_text("t,torque_cmd\n0,1\n")
     assert read_controls(tmp_path / "c.csv", space).values.tolist() == [[1.0]]
     (tmp_path / "c.csv").write_text("t,u1,u2\n0,1,2\n")
-    with pytest.raises(UserError, match="expected columns u, the controls; received t, u1, u2"):
+    with pytest.raises(UserError, match="expected the control columns u; received t, u1, u2"):
         read_controls(tmp_path / "c.csv", space)
 
 

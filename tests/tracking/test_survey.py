@@ -100,7 +100,7 @@ def test_a_noisy_pass_and_a_short_one_have_no_outliers():
                 "(SINEX): 0 faults",
             ],
         ),
-        ("e.txt", BULLETIN, ["of 4 days, MJD 55471 to 55474", "final until 55472", "after the first"]),
+        ("e.txt", BULLETIN, ["for 4 days, MJD 55471 to 55474", "final until 55472", "after the first"]),
     ],
 )
 def test_the_command_says_what_is_in_a_file(tmp_path, capsys, name, text, said):

@@ -55,7 +55,7 @@ def test_a_sidecar_says_units_object_clock_event_and_deviations(table):
     ("text", "said"),
     [
         ("units: {RANGE: ft}", "column units: RANGE: expected one of km, m; received 'ft'"),
-        ("units: {RANGES: m}", "expected values of RANGE, RANGE_RATE, AZ_EL, RA_DEC"),
+        ("units: {RANGES: m}", "expected values for one or more of RANGE, RANGE_RATE, AZ_EL, RA_DEC"),
         ("unit: {RANGE: m}", "received 'unit'; did you mean 'units'?"),
         ("clock: UT1", "column clock: expected one of UTC, TAI, GPS, TT; received 'UT1'"),
         ("event: arrival", "column event: expected one of receive, transmit, bounce"),
