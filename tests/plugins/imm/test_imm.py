@@ -219,5 +219,5 @@ def test_modes_that_do_not_fit_a_state_are_refused():
     belief = initial_belief(torch.zeros(1, 3), P0)
     with pytest.raises(ValueError, match=r"modes\.0\.added: expected at most 3 standard deviations; received 4"):
         InteractingModels(UKF, ({"added": [0.0] * 4}, {})).start(belief)
-    with pytest.raises(ValueError, match=r"modes\.1\.beside: expected a system of 3 components"):
+    with pytest.raises(ValueError, match=r"modes\.1\.beside: expected a system with 3 components"):
         InteractingModels(UKF, ({}, {"beside": SWING})).start(belief)
