@@ -89,7 +89,7 @@ def verdicts(found: ResidualTests, names: tuple[str, ...], interval: float, robu
     if robust == "none" and float(found.tails.max()) > FEW and bool((found.tails * pairs > 2).any()):
         outliers = in_percent(float(found.tails.max()))
         said.append(
-            f"{outliers} of the values are outliers; set loss.robust=student to downweight them, or "
+            f"{outliers} of the values are outliers: set loss.robust=student to downweight them, or "
             "data.tails=estimate to model them"
         )
     return said

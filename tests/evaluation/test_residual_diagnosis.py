@@ -48,7 +48,7 @@ def test_outliers_are_named_where_the_training_counted_them(factor):
     batch = stated(measured(outliers=0.05, gaps=0.2), factor)
     said = remedy(Spring(SPRING), batch, "none").split("; ")
     assert len(said) == (1 if factor == 1 else 2)
-    share, _, rest = said[-1].partition(" % of the values are outliers, ")
+    share, _, rest = said[-1].partition(" % of the values are outliers: ")
     assert float(share) == pytest.approx(5, abs=1.5)
     assert rest == "set loss.robust=student to downweight them, or data.tails=estimate to model them"
     assert "outliers" not in remedy(Spring(SPRING), batch, "student")

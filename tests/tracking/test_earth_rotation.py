@@ -53,7 +53,7 @@ def test_days_that_do_not_reach_are_refused():
     ):
         EarthRotation(EPOCH, 0.0, 32.4 * LAST, orientation())
     few = type(orientation())(*(part[:3] for part in orientation()))
-    with pytest.raises(UserError, match="received 3 from 57428 to 57430"):
+    with pytest.raises(UserError, match="received 3 days, 57428 to 57430"):
         EarthRotation(EPOCH, 0.0, 1.0, few)
     assert len(DAYS) > 4
 
