@@ -114,5 +114,5 @@ def test_a_flow_that_breaks_for_one_object_is_reported_and_the_rest_are_unharmed
     lost = require_solo(pairs, found, flow=breaking)
     assert lost
     assert {*catalogue.lost.values()} == {Status.NOT_FINITE}
-    assert all("it is NOT_FINITE at time" in why for why in found.reasons.values())
+    assert all("received NOT_FINITE at time" in why for why in found.reasons.values())
     assert len(found.reasons) == len(lost)  # each is told once

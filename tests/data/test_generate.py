@@ -27,7 +27,7 @@ def test_trajectories_are_finite_up_to_their_ends_and_nan_beyond():
 
 
 def test_states_that_leave_all_bounds_are_refused_and_not_stored(tmp_path):
-    with pytest.raises(UserError, match=r"henon_heiles: expected finite states; 10 of 10 ") as said:
+    with pytest.raises(UserError, match=r"henon_heiles: expected finite states; .* 10 of 10 ") as said:
         data_module(ESCAPING, str(tmp_path), steps=400).trajectories("train")
     assert "dt=0.05" in str(said.value)
     assert "Shorten system.dt" in str(said.value)
@@ -38,14 +38,14 @@ def test_one_state_that_is_not_finite_is_enough(monkeypatch):
     drawn = SPRING.initial_states(4, torch.Generator().manual_seed(0))
     drawn[2, 1] = torch.inf
     monkeypatch.setattr(type(SPRING), "initial_states", lambda *_: drawn)
-    with pytest.raises(UserError, match=r"1 of 4 trajectories diverge, trajectory 2 after 0 steps"):
+    with pytest.raises(UserError, match=r"in trajectory 2 after 0 steps .* 1 of 4 trajectories diverge"):
         generate(dataclasses.replace(SPRING, steps=3), 4, 0)
 
 
 @pytest.mark.parametrize("steps", [0, torch.iinfo(torch.int64).min])
 def test_a_duration_that_is_none_is_refused(monkeypatch, steps):
     monkeypatch.setattr(type(SPRING), "durations", lambda *_: torch.tensor([5, steps]))
-    with pytest.raises(UserError, match="zero or infinite, 1 of 2"):
+    with pytest.raises(UserError, match="zero or infinite durations for 1 of 2"):
         generate(SPRING, 2, 0)
 
 

@@ -43,7 +43,12 @@ def test_each_missing_number_is_named():
 def test_a_gap_says_how_many_are_missing_before_which_row(absent, said):
     times = np.cumsum([0.0, *[0.1] * 9, 0.1 * (absent + 1), *[0.1] * 9])
     (one,) = gaps(track(np.sin(times), times), "t", 10.0)
-    assert (one.level, one.row, one.column, one.what) == ("warning", 12, "t", f"a gap: {said} before this one")
+    assert (one.level, one.row, one.column, one.what) == (
+        "warning",
+        12,
+        "t",
+        f"a gap: {said} before this one",
+    )
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 import torch
 from helpers import close
 from oscillators import DOUBLE, Swing
-from test_ukf_evaluation import SPRING, make_case
+from test_ukf_evaluation import SPRING
 
 from ahnn.cli.build import plain_config
 from ahnn.cli.compose import compose_job
@@ -21,8 +21,6 @@ from ahnn.evaluation.estimators.noise_options import grown as of_rate
 from ahnn.measurements import Position
 from ahnn.uncertainty import Uncertainty
 from ahnn_plugins.ukf.plugin import UKFEvaluation
-
-__all__ = ["make_case"]
 
 TWO = 0.02 * torch.eye(2, **DOUBLE)
 KNOWN = Uncertainty(TWO, torch.zeros(2, **DOUBLE), 1.0, {}, TWO)
@@ -79,7 +77,7 @@ def test_parameters_do_more_where_a_state_is_novel(make_case):
 def test_of_functions_that_took_a_step_the_parameters_before_it_are_states(make_case):
     """They say the same of how functions may move, with a third of the network."""
     case, narrow = make_case(SPRING, Swing()), Swing(2.2, 0.4)
-    moved = dataclasses.replace(KNOWN, directions=None, before=(narrow, KNOWN))
+    moved = dataclasses.replace(KNOWN, directions=None, tangent=(narrow, KNOWN))
     _, error = given_noise(ParameterOptions(), case.space, None, case.flow, moved)
     states = case.test.states[:, 0]
     close(error.columns(states), field_columns(narrow, KNOWN.directions)(states), 1e-7)

@@ -7,9 +7,10 @@ from collections.abc import Callable
 
 import pytest
 import torch
+from evaluating import run
 from helpers import close, generator
 from oscillators import DOUBLE, Swing
-from test_ukf_evaluation import SPRING, STIFFER, make_case, run
+from test_ukf_evaluation import SPRING, STIFFER
 from torch.func import functional_call
 
 from ahnn.estimation import Belief
@@ -19,8 +20,6 @@ from ahnn.evaluation import Case
 from ahnn.measurements import Position
 from ahnn.uncertainty import Uncertainty
 from ahnn_plugins.ukf import unscented_filter
-
-__all__ = ["make_case"]
 
 FACTOR = torch.tensor([[0.05, 0.0], [-0.02, 0.04]], **DOUBLE)
 
