@@ -63,10 +63,8 @@ def read_record(path: Path, space: Space, most: int = MOST) -> AssimilationRecor
         raise UserError(message)
     kept[float(row["time"])] = row
     rows, components, scales = [kept[time] for time in sorted(kept)], track_names(space), space.scales.numpy()
-    size, measured = (
-        len(components),
-        tuple(n.removeprefix(INNOVATION) for n in row if n.startswith(INNOVATION)),
-    )
+    size = len(components)
+    measured = tuple(n.removeprefix(DEVIATION) for n in row if n.startswith(DEVIATION))
 
     def columns(names: list[str]) -> Array:
         return np.array([[_number(row[name]) for name in names] for row in rows])

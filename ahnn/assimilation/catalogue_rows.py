@@ -13,11 +13,8 @@ from ahnn.assimilation.parquet_stream import packed_table
 from ahnn.assimilation.reading_table import Array, CatalogueEstimates, ReadingTable
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.assimilation.stream_sensor import StreamSensor
-from ahnn.data.estimate_table import DATED, FIRST
+from ahnn.data.estimate_table import DATED, FIRST, OBJECT
 from ahnn.data.files.sidecar import Sidecar
-
-OBJECT = "object"
-"""Name of the column with the object's name."""
 
 
 class CatalogueRows(Rows):

@@ -81,7 +81,7 @@ class Rows:
         ]
         if lag:
             self.names += ["lag_time", *(f"lag_{name}" for name in components)]
-            self.names += [f"lag_{DEVIATION}{name}" for name in components]
+            self.names += [f"lag_sd_{name}" for name in components]
 
     def header(self) -> str:
         """Return the first line of a table; empty for JSON."""

@@ -1,9 +1,10 @@
-"""Reading of assimilation output: column names, rows, and the last estimate."""
+"""Reading of assimilation output: column names, rows, and the last estimates."""
 
 from __future__ import annotations
 
 import csv
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,28 +20,52 @@ from ahnn.errors import UserError
 from ahnn.labels import of_coordinates
 from ahnn.types import Space
 
-COVARIANCE, INNOVATION, DEVIATION = "cov_", "innovation_", "sd_"
+COVARIANCE, INNOVATION, DEVIATION = "cov_", "innovation_", "innovation_sd_"
 FIRST = ("line", "time", "sensor", "outcome", "replayed", "nis", "dof")
 DATED = (*FIRST[:2], "epoch", *FIRST[2:])
 """First columns where time zero has an epoch."""
+OBJECT = "object"
+"""Name of the column with the object's name, the second one in the output of many objects."""
+OF_OBJECTS = re.compile(rf'{FIRST[0]},{OBJECT},{FIRST[1]},|{{"{FIRST[0]}": \d+, "{OBJECT}": ')
+"""Beginning of an output of many objects, a table or JSON lines."""
 
 
-class Last(NamedTuple):
-    """The last estimate: time, mean (D,), covariance (D, D), and their reference."""
+class LastEstimates(NamedTuple):
+    """Last estimate of each object.
 
-    time: float
-    mean: Tensor
-    covariance: Tensor
+    Attributes:
+        names: names of the B objects; empty for a single object without a name.
+        times: (B,) times.
+        means: (B, D) means.
+        covariances: (B, D, D) covariances.
+        reference: reference of positions and times.
+    """
+
+    names: tuple[str, ...]
+    times: Tensor
+    means: Tensor
+    covariances: Tensor
     reference: Reference
 
 
 def is_track(path: Path) -> bool:
     """Return whether a file is the output of an assimilation: a table, or JSON lines."""
+    first = _beginning(path)
+    known = (",".join(FIRST[:4]), ",".join(DATED[:5]), f'{{"{FIRST[0]}": ')
+    return first.startswith(known) or OF_OBJECTS.match(first) is not None
+
+
+def names_objects(path: Path) -> bool:
+    """Return whether a file is the output of an assimilation of many objects."""
+    return OF_OBJECTS.match(_beginning(path)) is not None
+
+
+def _beginning(path: Path) -> str:
+    """Return the first characters of a file; none for no file."""
     if not path.is_file():
-        return False
+        return ""
     with path.open("rb") as file:
-        first = file.read(200).decode("utf-8", errors="replace")
-    return first.startswith((",".join(FIRST[:4]), ",".join(DATED[:5]), f'{{"{FIRST[0]}": '))
+        return file.read(200).decode("utf-8", errors="replace")
 
 
 def rows_of(path: Path) -> Iterator[dict[str, Any]]:
@@ -52,23 +77,21 @@ def rows_of(path: Path) -> Iterator[dict[str, Any]]:
         yield from csv.DictReader(file) if table else map(json.loads, file)
 
 
-def last_estimate(path: Path, space: Space) -> Last:
-    """Read the last estimate in an output file, converted to the units of `space`.
+def last_estimates(path: Path, space: Space) -> LastEstimates:
+    """Read the last estimate of each object in an output file, converted to the units of `space`.
 
     Raises:
         UserError: there is no estimate, or it belongs to another space.
     """
-    names, scales, row = track_names(space), space.scales, {}
+    names, scales, row, rows = track_names(space), space.scales, {}, dict[str, dict[str, Any]]()
     lower = [(i, j) for i in range(len(names)) for j in range(i + 1)]
-    covariance = torch.zeros(len(names), len(names), dtype=torch.float64)
     try:
-        for row in rows_of(path):  # noqa: B007 - only the last one is used
-            pass
+        for row in rows_of(path):
+            rows[row.get(OBJECT) or ""] = row
         if names[-1] not in row:  # versions before 0.3 wrote momenta
             names, scales = space.components, torch.ones_like(scales)
-        time, mean = float(row["time"]), [float(row[name]) for name in names]
-        for i, j in lower:
-            covariance[i, j] = covariance[j, i] = float(row[f"{COVARIANCE}{names[i]}_{names[j]}"])
+        columns = ["time", *names, *(f"{COVARIANCE}{names[i]}_{names[j]}" for i, j in lower)]
+        numbers = [[float(one[name]) for name in columns] for one in rows.values() or [row]]
     except (KeyError, TypeError, ValueError, csv.Error) as error:
         received = f"an invalid row ({error})" if row else "no row"
         message = f"start {path}: expected estimates of {', '.join(names)}; received {received}"
@@ -81,8 +104,14 @@ def last_estimate(path: Path, space: Space) -> Last:
         if name in units and unit != units[name]:
             message = f"start {path}: expected {name} in {units[name]}, as in the model; received {unit}"
             raise UserError(message)
-    state, covariance = scales * torch.tensor(mean, dtype=torch.float64), covariance * scales.outer(scales)
-    return Last(time, state, covariance, Reference.of(said.frame))
+    values = torch.tensor(numbers, dtype=torch.float64)
+    times, means, triangles = values.tensor_split([1, 1 + len(names)], dim=1)
+    covariances = torch.zeros(len(values), len(names), len(names), dtype=torch.float64)
+    for k, (i, j) in enumerate(lower):
+        covariances[:, i, j] = covariances[:, j, i] = triangles[:, k]
+    objects = () if list(rows) == [""] else tuple(rows)
+    whole = covariances * scales.outer(scales)
+    return LastEstimates(objects, times[:, 0], scales * means, whole, Reference.of(said.frame))
 
 
 def track_names(space: Space) -> tuple[str, ...]:

@@ -11,12 +11,10 @@ import torch
 from torch import Tensor
 
 from ahnn.data.files import Ephemeris, read_oem, read_opm
-from ahnn.data.files.ephemeris import of_orbits
 from ahnn.data.files.epochs import SECOND
-from ahnn.data.files.frames import turned
 from ahnn.data.files.kinds import kind_of
 from ahnn.data.files.raw import content_of
-from ahnn.data.files.samples import Array, Track
+from ahnn.data.files.samples import Array
 from ahnn.data.reference import alias
 from ahnn.errors import UserError
 
@@ -40,15 +38,12 @@ class KnownCovariance(NamedTuple):
     moments: list[int]
 
 
-def covariances_of(
-    path: Path, moments: list[int], frame: str | None, *, earlier: bool
-) -> KnownCovariance | None:
+def covariances_of(path: Path, moments: list[int], *, earlier: bool) -> KnownCovariance | None:
     """Return the covariance of each segment's state; None, with a warning, if a segment has none.
 
     Args:
         path: path of the message.
         moments: epochs of the states.
-        frame: target frame of the states; None: the frame of the message.
         earlier: whether to accept the covariance of an earlier state, for propagation.
 
     Raises:
@@ -57,7 +52,7 @@ def covariances_of(
     segments = (read_opm if kind_of(content_of(path), str(path)) == "opm" else read_oem)(path)
     if not any(one.covariances for one in segments):
         return None
-    found = [latest(one, moment, frame, path, earlier) for one, moment in zip(segments, moments, strict=True)]
+    found = [latest(one, moment, path, earlier) for one, moment in zip(segments, moments, strict=True)]
     if None in found:
         log.warning(
             "start %s: the covariances are not used, since they belong to other epochs than the states", path
@@ -67,9 +62,7 @@ def covariances_of(
     return KnownCovariance(torch.from_numpy(np.stack(matrices)), list(at))
 
 
-def latest(
-    one: Ephemeris, moment: int, frame: str | None, path: Path, earlier: bool
-) -> tuple[Array, int] | None:
+def latest(one: Ephemeris, moment: int, path: Path, earlier: bool) -> tuple[Array, int] | None:
     """Return the last covariance of a segment up to an epoch, and its epoch."""
     for covariance in sorted(one.covariances, key=lambda each: -each.time):
         here = one.start + round(covariance.time * SECOND)
@@ -77,8 +70,6 @@ def latest(
         fits = here <= moment + MILLISECOND if earlier else abs(here - moment) <= MILLISECOND
         if fits and abs(one.times[k] - covariance.time) * SECOND <= MILLISECOND:
             axes = axes_of(one.states[k], covariance.frame, one, path)
-            if frame is not None:
-                axes = turning(one, covariance.time, frame, path) @ axes
             return axes @ covariance.matrix @ axes.T, here
     return None
 
@@ -95,12 +86,3 @@ def axes_of(state: Array, frame: str, one: Ephemeris, path: Path) -> Array:
     axes = np.stack((radial, np.cross(normal, radial), normal))
     axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
     return np.kron(np.eye(2), axes.T)
-
-
-def turning(one: Ephemeris, time: float, frame: str, path: Path) -> Array:
-    """Return the matrix (6, 6) that transforms states of a segment to another frame, from unit vectors."""
-    rows = np.zeros(6, dtype=np.int64)
-    units = Track("", str(path), rows, np.full(6, time), np.eye(6))
-    name = f"{one.frame}, {one.center}, {one.time_system}"
-    (track,) = turned(of_orbits([units], name, one.start, weighed=False), frame, str(path)).tracks
-    return track.values.T

@@ -42,11 +42,11 @@ def deviations_of(path: Path, kind: Kind, times: Tensor, *, weighed: bool) -> Te
     """
     if kind not in KINDS:
         return None
-    raw, aside = bytes_of(path)
+    (raw, aside), beside = bytes_of(path), sidecar.beside(path)
     sheet = (
         parquet.read_parquet(raw, str(path)) if kind == "parquet" else read_csv(decoded(raw, path), str(path))
     )
-    said = sidecar.Sidecar() if aside is None else sidecar.parse(decoded(aside, path), str(path))
+    said = sidecar.Sidecar() if aside is None else sidecar.parse(decoded(aside, beside), str(beside))
     header = with_units(sheet.header, said, sheet.place)
     found = roles(header, said.columns, sheet.place)
     wanted = (*found.positions, *found.rates)

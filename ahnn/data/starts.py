@@ -14,14 +14,15 @@ import yaml
 from torch import Tensor
 
 from ahnn.contents import plain_yaml
-from ahnn.data.estimate_table import is_track, last_estimate
+from ahnn.data.estimate_table import is_track, last_estimates, names_objects
 from ahnn.data.files import Files, instant, units
 from ahnn.data.files.epochs import SECOND
 from ahnn.data.files.kinds import holds_mean_elements, kind_of
 from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.reference import Reference
 from ahnn.data.start_covariances import covariances_of
-from ahnn.data.start_deviations import deviations_of
+from ahnn.data.start_deviations import KINDS, deviations_of
+from ahnn.data.start_frames import matrices_to
 from ahnn.deviations import require_finite, state_deviations
 from ahnn.errors import UserError
 from ahnn.labels import momentum_unit, require_velocities
@@ -85,11 +86,10 @@ def starts(
         found = of_numbers(given, space)
     elif is_track(path) or (path.suffix.lower() in PLAIN and not holds_mean_elements(path)):
         found = of_track(path, space) if is_track(path) else of_plain(path, space)
-        if frame := found.reference.turn(ours, f"start {path}"):
-            message = f"start {path}: expected frame {frame}, as in the model; received {found.reference}"
-            raise UserError(message)
     else:
-        found = of_files(path, space, ours, last=last, weighed=sd is None)
+        found = of_files(path, space, last=last, weighed=sd is None)
+    if path is not None:
+        found = in_frame(found, ours, space, path)
     if sd is None:
         return found
     if found.covariances is not None:
@@ -101,7 +101,33 @@ def starts(
 def of_one_state(given: str | list[Any] | None) -> bool:
     """Return whether a start is an unnamed state: numbers, plain values, or an estimate."""
     path = Path(given).expanduser() if isinstance(given, str) else None
-    return path is None or path.suffix.lower() in PLAIN or is_track(path)
+    if path is None or is_track(path):
+        return path is None or not names_objects(path)
+    return path.suffix.lower() in PLAIN
+
+
+def in_frame(found: Starts, ours: Reference, space: Space, path: Path) -> Starts:
+    """Transform the starts of a file, and their covariances, to the frame of the model.
+
+    Raises:
+        UserError: an incompatible frame or centre, or a transformation without epoch.
+    """
+    own = found.reference
+    frame = own.turn(ours, f"start {path}")
+    if frame is None:
+        if own.frame and not ours.frame:
+            said = "start %s: the frame is %s; the model states no frame and is assumed to use the same one"
+            log.warning(said, path, own.frame)
+        return found
+    turn = matrices_to(frame, own, found.times, space, path)
+    known, since, own = found.covariances, found.since, own._replace(frame=frame)
+    states = (turn @ found.states.unsqueeze(-1)).squeeze(-1)
+    at = turn
+    if since is not None:
+        at = matrices_to(frame, found.reference, since[0], space, path)
+        since = since[0], (at @ since[1].unsqueeze(-1)).squeeze(-1)
+    known = None if known is None else at @ known @ at.mT
+    return found._replace(states=states, reference=own, covariances=known, since=since)
 
 
 def referred(found: Starts, ours: Reference) -> Starts:
@@ -170,38 +196,25 @@ def of_plain(path: Path, space: Space) -> Starts:
 
 
 def of_track(path: Path, space: Space) -> Starts:
-    """Read the last estimate of an assimilation's output; raises UserError."""
-    found = last_estimate(path, space)
-    time = torch.tensor([found.time], dtype=torch.float64)
-    start = Starts(numbered(1), found.mean[None], time, found.reference, found.covariance[None])
-    require_finite(start.states)
-    return start
+    """Read the last estimate of each object in an assimilation's output; raises UserError."""
+    found = last_estimates(path, space)
+    names = found.names or numbered(1)
+    require_finite(found.means)
+    return Starts(names, found.means, found.times, found.reference, found.covariances)
 
 
-def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: bool) -> Starts:
+def of_files(path: Path, space: Space, *, last: bool, weighed: bool) -> Starts:
     """Read the first or the last state of each trajectory in a data file; raises UserError."""
     kind = kind_of(content_of(path), str(path))
     second = 1.0 if kind in ("elements", "omm") else None  # between the two samples propagated by SGP4
-
-    def read(frame: Any = None) -> Files:
-        return Files("start", str(path), mass=space.mass, frame=frame, step=second, duration=second)
-
-    last, files = last and second is None, read()
+    last = last and second is None
+    files = Files("start", str(path), mass=space.mass, step=second, duration=second)
     if not files.momenta:
         require_velocities(space, f"start {path}")
     reference = Reference.of(files.space.frame)
     if files.epoch is not None:
         reference = reference._replace(epoch=files.epoch)
-    frame = reference.turn(ours, f"start {path}")
-    if frame is not None:
-        files, reference = read(frame), reference._replace(frame=frame)
-    elif reference.frame and not ours.frame:
-        log.warning(
-            "start %s: the frame is %s; the model states no frame and is assumed to use the same one",
-            path,
-            reference.frame,
-        )
-    order, factors = columns_of(files, space, path)
+    order, factors = columns_of(files, space, path, by_order=kind not in KINDS)
     clock = factor(files.space.units.time, space.units.time, path)
     times, states = clock * files.trajectories.times, files.trajectories.states[..., order] * factors
     rows = torch.arange(len(states))
@@ -212,19 +225,13 @@ def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: 
     found = Starts(names, chosen, moments, reference)
     own = files.trajectories.times[rows, columns]
     if weighed and (sds := deviations_of(path, kind, own, weighed=True)) is not None:
-        if frame is not None:
-            message = (
-                f"start {path}: expected standard deviations in {frame}; received a different frame. Add "
-                "start_sd="
-            )
-            raise UserError(message)
         scale = factors if files.momenta else factors * space.scales
         return found._replace(covariances=(sds[:, order] * scale).square().diag_embed())
     if not weighed or files.epoch is None or kind not in ("oem", "xml", "opm"):
         return found
     size = units.unit(space.units.time).size
     since = [files.epoch + round(float(time) * size * SECOND) for time in moments]
-    known = covariances_of(path, since, frame, earlier=last)
+    known = covariances_of(path, since, earlier=last)
     if known is None:
         return found
     weights = factors * torch.tensor([1.0] * 3 + [space.mass] * 3, dtype=torch.float64)
@@ -238,14 +245,22 @@ def of_files(path: Path, space: Space, ours: Reference, *, last: bool, weighed: 
     return found._replace(covariances=covariances, since=(times[rows, nearest], states[rows, nearest]))
 
 
-def columns_of(files: Files, space: Space, path: Path) -> tuple[list[int], Tensor]:
+def columns_of(files: Files, space: Space, path: Path, *, by_order: bool) -> tuple[list[int], Tensor]:
     """Return the column indices of a space's components in a file, and conversion factors, (D,).
+
+    Args:
+        files: content of the file.
+        space: description of the model's state components.
+        path: path of the file.
+        by_order: whether to take positions of other names by order, as in orbit messages, whose are x, y, z.
 
     Raises:
         UserError: missing or other columns, positions only, or incompatible units.
     """
     found, names, n = files.space, space.components[: space.dof], space.dof
     theirs = found.components[: found.dof]
+    if by_order and found.dof == n and sorted(theirs) != sorted(names):
+        theirs = names
     if sorted(theirs) != sorted(names) or files.positions_only:
         only, remedy = "", "Name the columns in a sidecar (docs/data.md)"
         if files.positions_only:

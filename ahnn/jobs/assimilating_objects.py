@@ -11,7 +11,7 @@ from typing import NamedTuple
 import torch
 
 from ahnn.assimilation import Catalogue
-from ahnn.assimilation.catalogue_rows import OBJECT, CatalogueRows
+from ahnn.assimilation.catalogue_rows import CatalogueRows
 from ahnn.assimilation.catalogue_session import CatalogueSession
 from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.object_shard import ObjectShard
@@ -19,7 +19,7 @@ from ahnn.assimilation.output_rows import Format
 from ahnn.assimilation.parquet_stream import ParquetRows
 from ahnn.assimilation.stream_tally import StreamTally
 from ahnn.assimilation.view import said
-from ahnn.data.estimate_table import described, track_names
+from ahnn.data.estimate_table import OBJECT, described, track_names
 from ahnn.data.starts import Starts
 from ahnn.jobs.assimilation_request import AssimilationRequest, Stream, opened
 from ahnn.prediction import output

@@ -8,11 +8,11 @@ import json
 import pytest
 import torch
 
-from ahnn.data.estimate_table import FIRST, described, is_track, last_estimate, units_of
+from ahnn.data.estimate_table import FIRST, described, is_track, last_estimates, units_of
 from ahnn.data.files import instant
 from ahnn.data.files.sidecar import beside, parse, write
 from ahnn.data.reference import Reference
-from ahnn.data.starts import starts
+from ahnn.data.starts import of_one_state, starts
 from ahnn.errors import UserError
 from ahnn.types import Space, Units
 
@@ -34,7 +34,7 @@ ROWS = [row(1.0, 5.0), row(2.5, 1.0)]
 
 def table(path, rows=ROWS, names=None):
     with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, names or [*row(0.0, 1.0)], extrasaction="ignore")
+        writer = csv.DictWriter(file, names or [*(*rows, row(0.0, 1.0))[0]], extrasaction="ignore")
         writer.writeheader()
         writer.writerows(rows)
     return path
@@ -49,12 +49,27 @@ def lines(path, rows=ROWS):
 def test_the_last_row_is_the_estimate(tmp_path, write):
     path = write(tmp_path / "out")
     assert is_track(path)
-    found = last_estimate(path, SPACE)
-    assert found.time == 2.5
-    assert found.mean.tolist() == [0.1, 1.1, 2.1, 3.1]
-    assert torch.equal(found.covariance, MATRIX)
-    assert found.mean.dtype == found.covariance.dtype == torch.float64
+    found = last_estimates(path, SPACE)
+    assert (found.names, found.times.tolist()) == ((), [2.5])
+    assert found.means.tolist() == [[0.1, 1.1, 2.1, 3.1]]
+    assert torch.equal(found.covariances, MATRIX[None])
+    assert found.means.dtype == found.covariances.dtype == torch.float64
     assert found.reference == Reference()
+
+
+@pytest.mark.parametrize("write", [table, lines])
+def test_many_objects_have_a_last_row_each_also_of_a_late_line_at_the_same_time(tmp_path, write):
+    names = "007", "Ñandú, A/1", "007", "007"
+    pairs = zip(names, (9.0, 2.0, 3.0, 1.0), (1.0, 2.0, 2.5, 2.5), strict=True)
+    rows = [{"line": 1, "object": name} | row(time, scale) for name, scale, time in pairs]
+    path = write(tmp_path / "out", rows)
+    assert is_track(path)
+    found = starts(str(path), SPACE)
+    assert (found.names, found.times.tolist()) == (("007", "Ñandú, A/1"), [2.5, 2.0])
+    assert found.states[:, 1].tolist() == [1.1, 2.2]
+    assert torch.equal(found.covariances, torch.stack((MATRIX, 2 * MATRIX)))
+    assert not of_one_state(str(path))
+    assert of_one_state(str(table(tmp_path / "one.csv")))
 
 
 def test_other_files_are_no_outputs(tmp_path):
@@ -77,7 +92,7 @@ def test_an_output_without_an_estimate_is_refused(tmp_path, rows, names, receive
     with pytest.raises(
         UserError, match=rf"start .*: expected estimates of x, y, px, py; received {received}"
     ):
-        last_estimate(path, SPACE)
+        last_estimates(path, SPACE)
 
 
 def test_units_and_frame_are_those_of_the_sidecar(tmp_path):
@@ -86,12 +101,12 @@ def test_units_and_frame_are_those_of_the_sidecar(tmp_path):
     write(path, described(SPACE, ours))
     assert beside(path) == tmp_path / "out.yaml"
     assert beside(path).is_file()
-    assert last_estimate(path, SPACE).reference == ours
+    assert last_estimates(path, SPACE).reference == ours
     said = parse(beside(path).read_text(), "out.yaml")
     assert said.units == units_of(SPACE)
     metres = SPACE._replace(units=SPACE.units._replace(position="m"))
     with pytest.raises(UserError, match="expected x in m, as in the model; received km"):
-        last_estimate(path, metres)
+        last_estimates(path, metres)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from ahnn.data.files import Covariance, Ephemeris, instant, write_oem
+from ahnn.data.files import Covariance, Ephemeris, Files, instant, write_oem
 from ahnn.data.reference import Reference
 from ahnn.data.starts import Starts, referred, starts
 from ahnn.errors import UserError
@@ -145,8 +145,61 @@ def test_a_start_in_another_frame_is_refused_where_it_cannot_be_turned(tmp_path)
     (tmp_path / "a.yaml").write_text("mean: [1, 2, 3, 4]\nframe: GCRF\nepoch: 2024-03-01T12:00:00\n")
     path = str(tmp_path / "a.yaml")
     assert starts(path, PLANE, Reference("ICRF")).reference == Reference("GCRF", clock="UTC", epoch=NOON)
-    with pytest.raises(UserError, match="expected frame EME2000, as in the model; received GCRF"):
+    with pytest.raises(UserError, match="expected three coordinates in a unit of length"):
         starts(path, PLANE, Reference("EME2000"))
+    (tmp_path / "a.yaml").write_text("mean: [1, 2, 3, 4, 5, 6]\nframe: GCRF\n")
+    with pytest.raises(
+        UserError, match="expected an epoch, with which states in GCRF are transformed to EME"
+    ):
+        starts(path, ORBIT, Reference("EME2000"))
+
+
+@pytest.mark.parametrize("frame", ["GCRF", "TEME", "ITRF2014"])
+def test_a_state_is_turned_alike_from_every_file_and_its_covariance_with_it(tmp_path, frame):
+    path, ours = tmp_path / "a.oem", Reference.of(ORBIT.frame)
+    sd, names = np.array([1.0, 2.0, 3.0, 0.01, 0.02, 0.03]), ("x", "y", "z", "vx", "vy", "vz")
+    scale = torch.tensor([1e3] * 3 + [3e3] * 3, dtype=torch.float64)
+
+    def write(states, seen=()):
+        about = "A", "A", "EARTH", frame, "UTC", NOON, np.arange(float(len(states)))
+        write_oem(path, [Ephemeris(*about, states, seen)])
+
+    (tmp_path / "b.yaml").write_text(
+        f"mean: {(STATES[0] * scale.numpy()).tolist()}\nsd: {(sd * scale.numpy()).tolist()}\n"
+        f'frame: "{frame}, EARTH, UTC"\nepoch: 2024-03-01T12:00:00\n'
+    )
+    head = [f"{name} [{'km/s' if 'v' in name else 'km'}]" for name in names]
+    cells = ["2024-03-01T12:00:00", *STATES[0].tolist(), *sd.tolist()]
+    table = [",".join(["t", *head, *(f"sd_{name}" for name in head)]), ",".join(map(str, cells))]
+    (tmp_path / "c.csv").write_text("\n".join([*table, ""]).replace("t,", "t [UTC],", 1))
+    (tmp_path / "c.yaml").write_text(f"frame: {frame}, EARTH, UTC\n")
+    turned, images = [], []
+    for state in np.concatenate((np.zeros((1, 6)), np.eye(6), STATES[:1])):  # linear, so this is its matrix
+        write(np.stack((state, state)))
+        turned.append(Files("images", str(path), frame="EME2000").read().states[0, 0])
+    images = torch.stack(turned[1:7]).T
+    expected = images @ torch.from_numpy(np.diag(sd**2)) @ images.T * scale.outer(scale)
+    write(STATES[:1], (Covariance(0.0, np.diag(sd**2)),))
+    for name in ("a.oem", "b.yaml", "c.csv"):
+        found = starts(str(tmp_path / name), ORBIT, ours, last=True)
+        assert found.reference == Reference("EME2000", "EARTH", "UTC", NOON)
+        assert torch.allclose(found.states[0], turned[7] * scale, rtol=1e-12, atol=0)
+        assert torch.allclose(found.covariances[0], expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("mass", [1.0, 3.0])
+def test_positions_of_a_message_go_to_those_of_the_model_by_order_and_say_that_covariances_count(
+    mass, tmp_path, caplog
+):
+    names = ("pos_x", "pos_y", "pos_z", "ppos_x", "ppos_y", "ppos_z")
+    space = Space("sat", names, Units("s", "km", "km/s", "J"), mass, "EME2000, EARTH")
+    path = message(tmp_path / "a.oem", [0.0, 60.0, 150.0], (Covariance(150.0, np.eye(6)),))
+    with caplog.at_level("INFO", "ahnn"):
+        found = starts(path, space, Reference.of(space.frame), last=True)
+    assert found.states[0].tolist() == [*STATES[2, :3], *(mass * STATES[2, 3:])]
+    assert found.covariances[0].diagonal().tolist() == [1.0] * 3 + [mass**2] * 3
+    assert "covariances: used for a start, but not for training" in caplog.text
+    assert "not used" not in caplog.text
 
 
 @pytest.mark.parametrize(("ours", "warned"), [("", True), ("EME2000, EARTH", False)])

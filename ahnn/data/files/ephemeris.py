@@ -210,12 +210,13 @@ def remarks(blocks: list[MessageBlock], *, covariances: bool = True) -> list[Rem
         fixed = canonical(block.meta.get("REF_FRAME", "").upper()) in FIXED  # independent of a date
         unused = (*UNUSED, "REF_FRAME_EPOCH") if fixed else UNUSED
         names |= block.unused | {key: None for key in unused if key in block.meta}
-        if block.matrices and not covariances:
-            names["covariances"] = None
         for key in block.meta:
             if key not in (*USED, *UNUSED):
                 what = f"{key} is not an OEM keyword and is ignored{nearest(key, USED)}"
                 found.append(Remark(block.place, what, "Correct its name, or leave it out", "warning"))
+    if not covariances and any(block.matrices for block in blocks):
+        what = "covariances: used for a start, but not for training"
+        found.append(Remark(Place(blocks[0].place.file), what))
     if names:
         found.append(Remark(Place(blocks[0].place.file), f"not used: {', '.join(names)}"))
     return found
