@@ -17,7 +17,7 @@ from ahnn.data.files import sidecar
 from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.reference import Reference
 from ahnn.errors import UserError
-from ahnn.labels import of_coordinates
+from ahnn.labels import momentum_unit, of_coordinates
 from ahnn.types import Space
 
 COVARIANCE, INNOVATION, DEVIATION = "cov_", "innovation_", "innovation_sd_"
@@ -128,6 +128,15 @@ def units_of(space: Space) -> dict[str, str]:
     found = [of_coordinates(space, angle=angle).units for angle in space.angular]
     parts = [*(one.position for one in found), *(one.velocity for one in found)]
     return {"time": space.units.time, **dict(zip(names, parts, strict=True))}
+
+
+def components_with_units(space: Space) -> list[str]:
+    """Return the components of a state with their units, momenta in units of velocity times inertia."""
+    units = [*units_of(space).values()][1:]
+    if not space.mechanical:
+        units[space.dof :] = [momentum_unit(space)] * space.dof
+    parts = zip(space.components, units, space.scales.tolist(), strict=True)
+    return [f"{name} [{unit}{'' if scale == 1 else f' x {scale:g}'}]" for name, unit, scale in parts]
 
 
 def momentum_units(space: Space) -> dict[str, str]:

@@ -14,7 +14,7 @@ import yaml
 from torch import Tensor
 
 from ahnn.contents import plain_yaml
-from ahnn.data.estimate_table import is_track, last_estimates, names_objects
+from ahnn.data.estimate_table import components_with_units, is_track, last_estimates, names_objects
 from ahnn.data.files import Files, instant, units
 from ahnn.data.files.epochs import SECOND
 from ahnn.data.files.kinds import holds_mean_elements, kind_of
@@ -25,7 +25,7 @@ from ahnn.data.start_deviations import KINDS, deviations_of
 from ahnn.data.start_frames import matrices_to
 from ahnn.deviations import require_finite, state_deviations
 from ahnn.errors import UserError
-from ahnn.labels import momentum_unit, require_velocities
+from ahnn.labels import require_velocities
 from ahnn.numbers import as_float64
 from ahnn.types import Space
 
@@ -149,7 +149,7 @@ def of_numbers(given: Any, space: Space) -> Starts:
     except ValueError as error:
         raise UserError(str(error)) from error
     if states.ndim not in (1, 2) or states.shape[-1] != size or not states.numel():
-        known = ", ".join(_with_units(space))
+        known = ", ".join(components_with_units(space))
         message = f"start: expected one or more states [{known}]; received shape {tuple(states.shape)}"
         raise UserError(message)
     states = torch.atleast_2d(states)
@@ -288,11 +288,3 @@ def factor(theirs: str, ours: str, path: Path) -> float:
 def numbered(count: int) -> tuple[str, ...]:
     """Return names numbered from 1."""
     return tuple(str(k + 1) for k in range(count))
-
-
-def _with_units(space: Space) -> list[str]:
-    """Return the components with their units, momenta in units of velocity times inertia."""
-    scale = "" if space.mass == 1 else f" x {space.mass:g}"
-    momentum = f"{space.units.velocity}{scale}" if space.mechanical else momentum_unit(space)
-    parts = (space.units.position, momentum)
-    return [f"{name} [{parts[k >= space.dof]}]" for k, name in enumerate(space.components)]

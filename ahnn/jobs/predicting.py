@@ -83,5 +83,5 @@ def predict(asked: PredictionRequest) -> None:
     if begin.covariances is not None and not all(run.uncertainty for run in runs):
         what = "the start" if len(runs) == 1 else "the start and the differences between the runs"
         log.warning("1 sigma: from %s only; these weights carry no uncertainty in the dynamics", what)
-    if remark := warning(found, begin, space):
+    if remark := warning(found, begin, space, from_numbers=not isinstance(asked.start, str)):
         log.warning(remark)

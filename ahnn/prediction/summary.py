@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ahnn.data.estimate_table import components_with_units
 from ahnn.data.starts import Starts
 from ahnn.numbers import in_percent
 from ahnn.prediction.prediction_table import labels
@@ -31,8 +32,17 @@ def summary(prediction: Prediction, starts: Starts, space: Space, title: str) ->
     return "\n".join(lines)
 
 
-def warning(prediction: Prediction, starts: Starts, space: Space) -> str | None:
-    """Return one line about states beyond the training data; None without such states or if unknown."""
+def warning(
+    prediction: Prediction, starts: Starts, space: Space, *, from_numbers: bool = False
+) -> str | None:
+    """Return one line about states beyond the training data; None without such states or if unknown.
+
+    Args:
+        prediction: predicted states.
+        starts: starts of the prediction.
+        space: description of the state components.
+        from_numbers: whether the starts are numbers without units.
+    """
     if prediction.novelty is None:
         return (
             "novelty: unknown, since these weights do not describe their training data. Train again to "
@@ -45,8 +55,11 @@ def warning(prediction: Prediction, starts: Starts, space: Space) -> str | None:
     first = float(starts.times[row] + prediction.times[sample])
     whose = f" of {starts.names[row]}" if len(beyond) > 1 else ""
     fraction = float(beyond.double().mean())
+    units = ""
+    if from_numbers and bool(beyond[:, 0].any()):
+        units = f". The numbers in start= are read as {', '.join(components_with_units(space))}"
     return (
         f"novelty: {in_percent(fraction)} of the predicted states lie beyond the training data, up to "
         f"{float(prediction.novelty.max()):.3g} times as far as its edge, first{whose} at t = {first:g} "
-        f"{space.units.time}. Errors there may be far larger than the bands"
+        f"{space.units.time}. Errors there may be far larger than the bands{units}"
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -141,9 +141,14 @@ def start_moment(start: StartChoice) -> int:
 
 
 def measured(setup: OrbitSetup, folder: Path) -> TrackingData:
-    """Return the measurements of the satellite; raises UserError if the satellite is ambiguous."""
+    """Return the measurements of the satellite; raises UserError if the satellite is ambiguous.
+
+    `setup.object` names measurements without a name if no other ones have it.
+    """
     found = read_tracking(folder / setup.measurements)
     known = [one for one in found if setup.object in (None, one.object)]
+    if not known:
+        known = [replace(one, object=setup.object or "") for one in found if not one.object]
     if len(known) != 1:
         objects = ", ".join(f"{one.object or 'without a name'} ({one.event})" for one in found)
         message = (

@@ -128,7 +128,8 @@ class OrbitSetup:
 
     Attributes:
         measurements: file in a format of `read_tracking`.
-        object: name of the satellite; may be omitted if the file contains only one.
+        object: name of the satellite; may be omitted if the file contains only one, and names it in the
+            output if the file does not.
         start: where the fit begins; if omitted, an initial orbit from directions, and ranges if available.
         orientation: bulletins B; without them the days of astropy-iers-data.
         stations: for each [latitude, longitude, height], degrees and m, or all keys of

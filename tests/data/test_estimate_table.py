@@ -8,7 +8,14 @@ import json
 import pytest
 import torch
 
-from ahnn.data.estimate_table import FIRST, described, is_track, last_estimates, units_of
+from ahnn.data.estimate_table import (
+    FIRST,
+    components_with_units,
+    described,
+    is_track,
+    last_estimates,
+    units_of,
+)
 from ahnn.data.files import instant
 from ahnn.data.files.sidecar import beside, parse, write
 from ahnn.data.reference import Reference
@@ -122,6 +129,13 @@ def test_tracks_have_velocities_and_momenta_only_where_these_are_none(units, mom
     positions = {"time": units.time, "x": units.position, "y": units.position}
     assert units_of(space) == {**positions, "vx": units.velocity, "vy": units.velocity}
     assert units_of(space._replace(mechanical=False)) == {**positions, "px": momentum, "py": momentum}
+
+
+def test_components_have_the_units_of_numbers_of_a_start():
+    space = SPACE._replace(inertia=(2.0, 1.0), angles=("y",), units=Units("s", "m", "m/s", "J"))
+    assert components_with_units(space) == ["x [m]", "y [rad]", "px [m/s x 2]", "py [rad/s]"]
+    kept = SPACE._replace(mechanical=False, units=Units("s", "rad", "rad/s", "J"))
+    assert components_with_units(kept)[2:] == ["px [kg m²/s]", "py [kg m²/s]"]
 
 
 def test_an_output_is_a_start_at_its_last_time(tmp_path):

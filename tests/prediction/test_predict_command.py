@@ -159,8 +159,20 @@ def test_leaving_the_training_data_is_one_line_and_a_flag(here, caplog):
     found = rows(here / "out.csv")
     assert found[0]["novel [1]"] == "0"
     assert found[-1]["novel [1]"] == "1"
+    assert "read as" not in said  # the start itself is within
     assert call("ahnn.predict", MOLNIYA, START, "duration=1d") == 0
     assert len(caplog.messages) == 1
+
+
+def test_numbers_far_from_the_training_data_are_told_with_the_units_in_which_they_are_read(here, caplog):
+    metres = [1e3 * value for value in STATE]
+    assert call("ahnn.predict", MOLNIYA, f"start={metres}".replace(" ", ""), "duration=10") == 0
+    assert "The numbers in start= are read as x [km], y [km], z [km], px [km/s], " in caplog.text
+    caplog.clear()
+    (here / "start.yaml").write_text(f"mean: {metres}\n")
+    assert call("ahnn.predict", MOLNIYA, "start=start.yaml", "duration=10") == 0
+    assert "beyond the training data" in caplog.text
+    assert "read as" not in caplog.text
 
 
 def test_weights_of_an_earlier_version_say_that_novelty_is_not_known(here, cache, caplog):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from simulated import TRUE
 
 from ahnn.cli.pairs import divided
 from ahnn.data.files.messages import read_oem
+from ahnn.tracking.orbit_problem import measured
+from ahnn.tracking.orbit_setup import OrbitSetup
 
 pytest.importorskip("erfa")
 pytest.importorskip("de421")
@@ -25,7 +28,18 @@ SETUPS = Path(__file__).parents[2] / "docs" / "orbits"
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A folder with the measurements of a known orbit and a setup."""
-    return orbit_folder(tmp_path_factory.mktemp("orbit"))
+    place = orbit_folder(tmp_path_factory.mktemp("orbit"))
+    for name in ("named.aer", "setup.aer"):
+        (place / name).write_text((place / "seen.aer").read_text())
+    (place / "named.yaml").write_text("object: W3B\nunits: {RANGE: km, AZ_EL: deg}\n")
+    return place
+
+
+def test_measurements_without_a_name_have_that_of_the_setup(folder):
+    setup = OrbitSetup(measurements="seen.aer", object="MY GTO")
+    assert measured(setup, folder).object == "MY GTO"
+    named = replace(setup, measurements="named.aer", object="W3B")
+    assert measured(named, folder).object == "W3B"
 
 
 def test_an_orbit_is_found_and_written(folder, tmp_path, capsys):
@@ -68,7 +82,8 @@ def test_an_orbit_is_found_and_written(folder, tmp_path, capsys):
         (["stations.south=[1,2]"], "stations.south: expected [latitude, longitude, height] in degrees and m"),
         (["stations.west=[1,2,3]"], "stations.west: expected a station in seen.aer"),
         (["sinex=[a.snx]"], "stations: expected coordinates under `stations`, or files"),
-        (["object=other"], "object: expected one object in seen.aer"),
+        (["object=other", "measurements=named.aer"], "object: expected one object in named.aer (W3B"),
+        (["measurements=setup.aer"], "setup.yaml: expected one of the keys object, clock, event, units"),
         (["measurements=nowhere.aer"], "nowhere.aer"),
         (["held_out=1"], "held_out: expected float from 0 to 0.9; received 1"),
         (["corrections.troposphere=wet"], "corrections.troposphere: expected one of none, radio, laser"),

@@ -5,9 +5,11 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from ahnn.arguments import nearest
+from ahnn.data.files.sidecar import beside
 from ahnn.data.files.table import Header, Place
 
 TIMES, IDS = ("t", "time"), ("id", "trajectory")
@@ -82,22 +84,24 @@ def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
 
     Args:
         header: header of the file.
-        named: mapping from roles to column names, as in a sidecar; other columns are then ignored.
+        named: mapping from roles to column names, as in a sidecar. With positions in it, other columns are
+            ignored; without, they have the roles of their names.
         place: place of the header.
 
     Raises:
         UserError: a missing column, a column without counterpart, or a name that no position has.
     """
-    names = header.names
-    if named:
-        return of_sidecar(names, named, place)
-    time = [i for i, name in enumerate(names) if name.lower() in TIMES]
-    ids = [i for i, name in enumerate(names) if name.lower() in IDS]
+    names, aside = header.names, Place(str(beside(Path(place.file))))
+    known = of_sidecar(names, named, aside)
+    if known.keys() & {"positions", *NAMES}:
+        return selected(known, named, aside)
+    time = known.get("time", [i for i, name in enumerate(names) if name.lower() in TIMES])
+    ids = known.get("id", [i for i, name in enumerate(names) if name.lower() in IDS])
     if len(time) != 1 or len(ids) > 1:
         expected = f"one column named {' or '.join(TIMES)}, and at most one named {' or '.join(IDS)}"
         place.refuse(expected, ", ".join(names), SIDECAR)
     rest = [i for i in range(len(names)) if i not in (*time, *ids) and not is_deviation(names[i])]
-    controls = [i for i in rest if CONTROL.fullmatch(names[i].lower())]
+    controls = known.get("controls", [i for i in rest if CONTROL.fullmatch(names[i].lower())])
     controls = controls if len(controls) < len(rest) else []
     rest = [i for i in rest if i not in controls]
     moving = {i: found for i in rest if (found := partner(names, i, rest)) is not None}
@@ -161,36 +165,39 @@ def rates_of(position: str) -> dict[Kind, set[str]]:
     return found
 
 
-def of_sidecar(names: tuple[str, ...], named: dict[str, Any], place: Place) -> Roles:
-    """Return the roles defined by a sidecar.
+def of_sidecar(names: tuple[str, ...], named: dict[str, Any], place: Place) -> dict[str, list[int]]:
+    """Return the columns of each role that a sidecar names.
 
     Raises:
-        UserError: an unknown role or column, a column in two roles, or unequal numbers of rates and
-            positions.
+        UserError: an unknown role or column, a column in two roles, or several times or ids.
     """
     found: dict[str, list[int]] = {}
     for role, value in named.items():
         if role not in ROLES:
             place.refuse(f"one of the roles {', '.join(ROLES)}", repr(role) + nearest(role, ROLES))
         columns = [str(v) for v in value] if isinstance(value, list) else [str(value)]
+        if role in ROLES[:2] and len(columns) != 1:
+            place.refuse(f"one column ({role})", f"{role}: {value}")
         for column in columns:
             if column not in names:
                 place.refuse(f"a column {column!r} ({role})", ", ".join(names) + nearest(column, names))
             if any(names.index(column) in known for known in found.values()):
                 place._replace(column=column).refuse("one role in the sidecar", f"a second one, {role}")
             found.setdefault(role, []).append(names.index(column))
-    single = [len(found.get(role, [])) for role in ("time", "id")]
+    return found
+
+
+def selected(found: dict[str, list[int]], named: dict[str, Any], place: Place) -> Roles:
+    """Return the roles of a sidecar that names positions; raises UserError for a missing role or column."""
     kind: Kind = "momenta" if "momenta" in found else "velocities"
-    rates = found.get(kind, [])
-    positions = found.get("positions", [])
+    rates, positions = found.get(kind, []), found.get("positions", [])
     if (
-        single[0] != 1
-        or single[1] > 1
+        "time" not in found
         or not positions
         or len(rates) not in (0, len(positions))
-        or ({"velocities", "momenta"} <= found.keys())
+        or {"velocities", "momenta"} <= found.keys()
     ):
-        expected = "one time, at most one id, positions, and equally many velocities or momenta"
+        expected = "columns: time, positions, and equally many velocities or momenta, if it names any of them"
         place.refuse(expected, ", ".join(f"{role}: {named[role]}" for role in named))
     whose, controls = next(iter(found.get("id", [])), None), tuple(found.get("controls", []))
     return Roles(found["time"][0], whose, tuple(positions), tuple(rates), kind, controls)

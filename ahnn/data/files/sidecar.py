@@ -15,6 +15,8 @@ from ahnn.manifest import require_own
 
 SUFFIXES = (".yaml", ".yml")
 KEYS = ("units", "columns", "frame", "controls")
+OTHERWISE = "If it is not the sidecar of the data file of the same name, rename one of them"
+"""Remedy for a file that describes something else."""
 LINEAR = "linear"
 BETWEEN = ("held", LINEAR)
 """Allowed behaviours of controls between samples."""
@@ -55,7 +57,7 @@ def parse(text: str, file: str) -> Sidecar:
     given: dict[Any, Any] = content if isinstance(content, dict) else {str(content): None}
     for key, value in given.items():
         if key not in KEYS:
-            Place(file).refuse(f"keys {', '.join(KEYS)}", repr(key) + nearest(str(key), KEYS))
+            Place(file).refuse(f"keys {', '.join(KEYS)}", repr(key) + nearest(str(key), KEYS), OTHERWISE)
         if not isinstance(value, str if key in ("frame", "controls") else dict):
             Place(file).refuse(f"{key}: {'a name' if key == 'frame' else 'names with values'}", repr(value))
         if key == "controls" and value not in BETWEEN:

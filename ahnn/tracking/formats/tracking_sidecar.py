@@ -83,7 +83,8 @@ def parse_sidecar(text: str, file: str) -> TrackingSidecar:
     given: dict[Any, Any] = content if isinstance(content, dict) else {str(content): None}
     for key in given:
         if key not in KEYS:
-            place.refuse(f"one of the keys {', '.join(KEYS)}", f"{key!r}{nearest(str(key), KEYS)}")
+            expected = f"one of the keys {', '.join(KEYS)}"
+            place.refuse(expected, f"{key!r}{nearest(str(key), KEYS)}", sidecar.OTHERWISE)
     said = TrackingSidecar(
         object=str(given.get("object", "")),
         clock=chosen(given.get("clock", "UTC"), CLOCKS, place._replace(column="clock")),

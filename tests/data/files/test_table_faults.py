@@ -99,12 +99,15 @@ def test_a_fault_is_named_with_its_place(tmp_path, fault):
             "unit: {x: km}",
             "expected keys units, columns, frame, controls; received 'unit'; did you mean 'units'?",
         ),
+        ("measurements: od.csv", "If it is not the sidecar of the data file of the same name, rename one of"),
         ("units: {z: km}", "expected a column 'z' (units)"),
         ("units: {x: m}", "column x: expected [m], as in the sidecar; received [km]. State it once"),
         ("columns: {time: s}", "expected a column 's' (time)"),
         ("columns: {times: t}", "expected one of the roles time, id, positions, velocities, momenta"),
-        ("columns: {time: t}", "expected one time, at most one id, positions"),
+        ("columns: {time: [t, x]}", "data.yaml: expected one column (time); received time: ['t', 'x']"),
+        ("columns: {positions: x}", "data.yaml: expected columns: time, positions, and equally many"),
         ("columns: {time: t, positions: [x, id], velocities: vx}", "equally many velocities or momenta"),
+        ("columns: {time: t, velocities: vx}", "if it names any of them; received time: t, velocities: vx"),
     ],
 )
 def test_a_fault_of_a_sidecar(tmp_path, sidecar, expected):

@@ -76,6 +76,18 @@ def test_a_sidecar_names_columns_units_and_frame(tmp_path):
     assert changed.recipe() != files.recipe()
 
 
+def test_columns_that_a_sidecar_without_positions_does_not_name_have_the_roles_of_their_names(tmp_path):
+    text = (
+        "sat,zeit [s],x [km],vx [m/s],F [N],sd_x [km]\n7,0,1,2,0,1\n7,60,2,1,1,1\n8,0,3,3,1,1\n8,60,3,3,1,1\n"
+    )
+    files = read(tmp_path, text, "columns: {time: zeit, id: sat, controls: F}")
+    assert files.names == ("7", "8")
+    assert files.read().states[:, 0].tolist() == [[1.0, 0.002], [3.0, 0.003]]
+    assert files.space.controls == ("F",)
+    one = read(tmp_path, text.replace("zeit", "t").replace("F [N]", "u [N]"), "columns: {id: sat}")
+    assert (one.names, one.space.controls) == (("7", "8"), ("u",))
+
+
 def test_positions_alone_have_unknown_momenta(tmp_path):
     files = read(tmp_path, "t [s],x [km],y [km]\n0,1,2\n1,2,3\n")
     assert files.positions_only
