@@ -158,6 +158,9 @@ def test_the_output_of_a_filter_is_a_start_of_all_commands():
     assert assimilate(START, DATED) == 0
     last, said = rows()[-1], Path("out.yaml").read_text()
     assert last["epoch"] == "2024-03-01T12:07:30.000"
+    assert "sd_x" not in last  # that would be the standard deviation of the state
+    predicted = float(last["innovation_sd_x"]) ** 2
+    assert float(last["nis"]) > float(last["innovation_x"]) ** 2 / predicted * (1 - 1e-9)
     assert "x: km" in said
     assert "frame: EME2000, EARTH, UTC, from 2024-03-01T12:05:00.000" in said
     step = ["duration=1min", "output=next.csv"]
