@@ -56,7 +56,9 @@ def test_epochs_count_from_time_zero_with_leap_seconds():
         table.reading(f"2017-13T,{name},1,")
     seconds = Layout("t [s],sensor,q [m],p", SENSORS, clock)
     assert seconds.reading(f"90,{name},1,").time == pytest.approx(1.5, rel=1e-15)
-    with pytest.raises(UserError, match=r"expected times in min, in another unit of time, or .*; received kg\."):
+    with pytest.raises(
+        UserError, match=r"expected times in min, in another unit of time, or .*; received kg\."
+    ):
         Layout("time [kg],sensor,q", SENSORS, clock)
     with pytest.raises(UserError, match=r"epoch: expected an epoch such as"):
         Reference().since("yesterday")
