@@ -76,9 +76,9 @@ class Uncertainty:
         if remaining <= determined:
             return ""
         return (
-            f"the training ended before its optimum: {remaining**0.5:.2g} standard deviations remain, of which "
-            f"noise explains {determined**0.5:.2g}, so that the bands are too wide or meaningless. Train for "
-            "more epochs (trainer.max_epochs) or with more closing steps (loss.closing)"
+            f"the training ended before its optimum: {remaining**0.5:.2g} standard deviations remain, of "
+            f"which noise explains {determined**0.5:.2g}, so that the bands are too wide or meaningless. "
+            "Train for more epochs (trainer.max_epochs) or with more closing steps (loss.closing)"
         )
 
     @property
