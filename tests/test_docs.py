@@ -23,6 +23,7 @@ from ahnn.cli.compose import compose_job, with_recorded
 from ahnn.cli.help import ABOUT
 from ahnn.cli.reevaluation import Request, run_config
 from ahnn.cli.reproduction_plan import plan
+from ahnn.data.generate import generate
 from ahnn.rollouts import rollout
 from ahnn.systems.truth import exact_flow
 
@@ -141,6 +142,12 @@ def test_the_system_of_the_tutorial_moves_as_its_energy_says(monkeypatch):
     exec(next(text for _, text in shown if "class Damped" in text), vars(module))
     damped = module.Damped(name="damped", dt=0.01, steps=1000)
     lost = damped.energy(rollout(exact_flow(damped), states[:, 0], 0.01, 1001)).diff(dim=1)
+    for name in ("LotkaVolterra", "Coupled"):
+        exec(next(text for _, text in shown if f"class {name}" in text), vars(module))
+        other = getattr(module, name)(name=name, dt=0.01, steps=100)
+        energies = other.energy(generate(other, 4, 0).states)  # which compares the energy with the equations
+        close(energies, energies[:, :1].expand_as(energies), 1e-9)
+        assert not other.mechanical
     assert float(lost.max()) < 1e-12  # -friction v^2 dt, at rest only at the turning points
 
 

@@ -10,7 +10,6 @@ import re
 import shlex
 from argparse import Namespace
 from collections.abc import Iterable, Sequence
-from difflib import get_close_matches
 from inspect import signature
 from itertools import islice
 from pathlib import Path
@@ -26,10 +25,10 @@ from hydra.errors import HydraException, MissingConfigException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from ahnn.arguments import flatten, nearest
+from ahnn.arguments import flatten
 from ahnn.cli.identical_jobs import warn_of_twins
 from ahnn.cli.importing import let_import
-from ahnn.cli.option_hints import once_each, unknown_option
+from ahnn.cli.option_hints import nearest_key, once_each, unknown_option
 from ahnn.cli.settings import CommonSettings
 from ahnn.cli.trust import targets
 from ahnn.cli.unreferenced_keys import require_referenced
@@ -276,21 +275,6 @@ def check_potential(cfg: DictConfig, overrides: Iterable[str]) -> None:
             "hamiltonian=central_body if the central body is known"
         )
         raise UserError(message)
-
-
-def nearest_key(wrong: str, known: Iterable[str]) -> str:
-    """Return a hint with the dotted key that is closest to a wrong key, in full or in its last part.
-
-    Without a close match the hint lists only the top level, since all keys fill several pages.
-    """
-    known = sorted(known)
-    last = wrong.rpartition(".")[2]
-    parts = {key.rpartition(".")[2] for key in known if not key.startswith("hydra.")}
-    for close in ([last], get_close_matches(wrong, known, n=1, cutoff=0.7), get_close_matches(last, parts)):
-        same = [key for key in known if key in close or key.rpartition(".")[2] in close]
-        if same:
-            return f"; did you mean {get_close_matches(wrong, same, n=1, cutoff=0)[0]!r}?"
-    return nearest(wrong, [key for key in known if "." not in key])
 
 
 def first_line(error: BaseException) -> str:

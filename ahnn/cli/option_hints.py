@@ -1,8 +1,9 @@
-"""Messages on options of groups: unknown ones, and groups named twice."""
+"""Messages on options of groups, unknown or named twice, and on unknown keys."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from difflib import get_close_matches
 
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra.core.override_parser.types import Override
@@ -10,6 +11,9 @@ from hydra.core.override_parser.types import Override
 from ahnn.arguments import nearest
 from ahnn.errors import UserError
 
+RATE = "optimizer.lr"
+RATES = ("lr", "learning_rate", RATE, "optimizer.learning_rate")
+"""Names under which a learning rate is looked for."""
 OWN = ". For your own options add --config-dir FOLDER"
 
 
@@ -31,3 +35,22 @@ def once_each(loader: ConfigLoaderImpl, overrides: Iterable[Override]) -> list[O
             message = f"{key}: expected one option; received {named[key]} and {text}. Leave one out"
             raise UserError(message)
     return found
+
+
+def nearest_key(wrong: str, known: Iterable[str]) -> str:
+    """Return a hint with the dotted key that is closest to a wrong key, in full or in its last part.
+
+    Without a close match the hint lists only the top level, since all keys fill several pages.
+    """
+    known = sorted(known)
+    last = wrong.rpartition(".")[2]
+    if wrong in RATES and RATE not in known:
+        return f"; this optimiser has no learning rate. Use recipe=first_order {RATE}=VALUE"
+    if wrong in RATES:
+        return f"; did you mean {RATE!r}?"
+    parts = {key.rpartition(".")[2] for key in known if not key.startswith("hydra.")}
+    for close in ([last], get_close_matches(wrong, known, n=1, cutoff=0.7), get_close_matches(last, parts)):
+        same = [key for key in known if key in close or key.rpartition(".")[2] in close]
+        if same:
+            return f"; did you mean {get_close_matches(wrong, same, n=1, cutoff=0)[0]!r}?"
+    return nearest(wrong, [key for key in known if "." not in key])

@@ -54,7 +54,8 @@ class Case:
         uncertainty: covariance of the learned parameters, if available.
         novelty: distance (...) of states (..., D) from the training data, if available.
         fitted: (B, D) starts that best fit the measurements of the test trajectories, if no states are known;
-            `test` then contains measurements, NaN where unmeasured.
+            `test` then contains measurements, NaN where unmeasured or excluded as outliers.
+        outliers: fraction of these measurements excluded as outliers.
         noise: noise of the measurements, if estimated in training.
         remark: remark on the test trajectories; "" if they belong to the training data.
         caveat: reason why the training cannot have made a good model; "" without one.
@@ -79,6 +80,7 @@ class Case:
     uncertainty: Uncertainty | None = None
     novelty: Callable[[Tensor], Tensor] | None = None
     fitted: Tensor | None = None
+    outliers: float = 0.0
     noise: NoiseEstimate | None = None
     remark: str = ""
     caveat: str = ""

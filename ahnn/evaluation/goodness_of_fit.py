@@ -101,12 +101,26 @@ def fit_to(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") -
 
 @torch.no_grad()
 def without_outliers(dynamics: nn.Module, segment: Segment, robust: RobustName) -> Segment:
-    """Return measurements without those far from a robustly fitted path; Student's noise has no outliers."""
+    """Return measurements without outliers (`cleaned`)."""
+    return segment if robust == "none" else cleaned(segment, *fit_to(dynamics, segment, robust), robust)
+
+
+def cleaned(segment: Segment, fitted: Fitted, steps: Steps, robust: RobustName) -> Segment:
+    """Return measurements without those far from a robustly fitted path; Student's noise has no outliers.
+
+    Where half of the values of a trajectory are far, the path is wrong, not the values, which are kept.
+    """
     if robust == "none" or segment.instrument.freedom is not None:
         return segment
-    fitted, steps = fit_to(dynamics, segment, robust)
     far = segment.residuals(fitted.states[:, steps.ends]).abs() > OUTLYING
+    explained = far.flatten(1).sum(-1) < segment.measured / 2
+    far = far & explained.view(-1, 1, 1)
     return segment._replace(values=segment.values.masked_fill(far, torch.nan))
+
+
+def outlier_fraction(before: Segment, after: Segment) -> float:
+    """Return the fraction of the measured values that are missing after the exclusion of outliers."""
+    return 1 - int(after.measured.sum()) / max(int(before.measured.sum()), 1)
 
 
 @torch.no_grad()
@@ -118,8 +132,7 @@ def explain(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") 
         segment: measurements not used in training.
         robust: robust loss of the training, with which outliers are excluded here.
     """
-    measured = int(segment.measured.sum())
-    segment = without_outliers(dynamics, segment, robust)
+    given, segment = segment, without_outliers(dynamics, segment, robust)
     fitted, steps = fit_to(dynamics, segment)
     degrees = segment.measured - 2 * segment.instrument.dof
     met = (degrees > 0) & (fitted.sums <= LOST * segment.measured)
@@ -142,7 +155,7 @@ def explain(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") 
         correlation_band=NORMAL95 / max(pairs, 1) ** 0.5 + spent,
         lost=int((~met).sum()),
         trajectories=len(met),
-        outliers=1 - int(segment.measured.sum()) / max(measured, 1),
+        outliers=outlier_fraction(given, segment),
         halved_steps=halved,
     )
 

@@ -14,7 +14,7 @@ from ahnn.data.recorded_sensor import Recorded
 from ahnn.data.segments import whole
 from ahnn.dynamics import Dynamics, HasEnergy
 from ahnn.evaluation.case import Case, perturbations
-from ahnn.evaluation.goodness_of_fit import fit_to
+from ahnn.evaluation.goodness_of_fit import cleaned, fit_to, outlier_fraction
 from ahnn.measurements import Instrument, NoiseEstimate, Segment
 from ahnn.measurements.smoothing import located_at
 from ahnn.shooting.robust import RobustName
@@ -56,9 +56,11 @@ def make_case(
     source, truth = data.source, data.source.truth
     estimate = None if noise is None or data.sensor is None else read("noise", NoiseEstimate, noise)
     measured = measured_test(data, estimate)
-    fitted, test = None, data["test"]
+    fitted, test, outliers = None, data["test"], 0.0
     if measured is not None and isinstance(data.sensor, Recorded):
-        fitted, test = fit_to(dynamics, measured, robust)[0].starts, as_test(measured)
+        found, steps = fit_to(dynamics, measured, robust)
+        kept = cleaned(measured, found, steps, robust)
+        fitted, test, outliers = found.starts, as_test(kept), outlier_fraction(measured, kept)
     return Case(
         label=label,
         assumes=dynamics.assumes,
@@ -79,6 +81,7 @@ def make_case(
         uncertainty=uncertainty,
         novelty=None if domain is None else partial(domain.novelty, dynamics),
         fitted=fitted,
+        outliers=outliers,
         noise=estimate,
         remark=remark,
         caveat=caveat,

@@ -81,6 +81,7 @@ def open_loop(case: Case) -> Findings:
         lost = _lost(case, prediction)
         note = f"diverged: {lost} of {len(prediction)} predictions run to infinity" if lost else ""
         extra = _drift(case.energy, prediction) | {"lost": lost / len(prediction)}
+        extra |= {"outliers": case.outliers} if case.outliers else {}
         findings.rows.append(Row(who, case.score(prediction), note, extra))
     for start, floor in there.items():
         clock = case.test.clock(clock_of(floor.flow))

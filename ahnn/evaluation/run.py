@@ -59,6 +59,8 @@ def add_tests(case: Case, findings: Findings, *, figures: bool) -> Worth:
     show("baselines")
     value = add_worth(case, findings)
     add_constants(case, findings)
+    if case.uncertainty is not None:  # first, since it may be the cause of a poor fit
+        findings.tell(case.uncertainty.unfinished, findings.faults)
     if case.measured is not None:
         add_noise(case, case.measured, findings)
         add_goodness(case, case.measured, findings)

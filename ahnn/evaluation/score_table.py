@@ -12,6 +12,7 @@ from ahnn.evaluation.results import Results
 from ahnn.evaluation.terminal import WIDTH
 from ahnn.evaluation.titles import MODEL, described, estimator_title, title
 from ahnn.labels import headed, quantity
+from ahnn.numbers import in_percent
 
 NUMBER = 9
 """Width of a number; `1.23e-300` is the longest score."""
@@ -143,10 +144,12 @@ def _explanations(results: Results) -> Iterator[str]:
     floors = dict.fromkeys(title(row.who, results.label) for row in results.rows if row.who.floor)
     if floors:
         yield from _wrapped(f"floor: score of perfect knowledge ({'; '.join(floors)}).")
-    if any(row.who.start == "fitted" for row in results.rows):
+    if fitted := [row for row in results.rows if row.who.start == "fitted"]:
+        excluded = fitted[0].extra.get("outliers")
+        without = f"; {in_percent(excluded)} outliers excluded" if excluded else ""
         yield from _wrapped(
             "fitted start: initial state that best fits the measurements; errors are differences from the "
-            "measurements and include their noise."
+            f"measurements and include their noise{without}."
         )
     if any(row.who.span == "settled" for row in results.rows):
         yield from _wrapped("settled: scores after the first update.")

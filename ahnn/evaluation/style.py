@@ -22,6 +22,8 @@ ORANGE, SKY, GREEN, BLUE = "#E69F00", "#56B4E9", "#009E73", "#0072B2"
 VERMILLION, PURPLE, BLACK = "#D55E00", "#CC79A7", "#000000"
 
 TRUTH: dict[str, Any] = {"color": BLACK, "ls": (0, (4, 3)), "lw": 1.0, "zorder": 4}
+TRACK: dict[str, Any] = TRUTH | {"ls": "-", "lw": 0.7}
+"""True path in the plane: dashes of its revolutions would overlap and fill one another's gaps."""
 MODEL: dict[str, Any] = {"color": VERMILLION, "ls": "-", "lw": 1.8}
 FLOOR: dict[str, Any] = {"color": BLUE, "ls": (0, (6, 1.5, 1.5, 1.5)), "lw": 1.5, "zorder": 3}
 ALONE: dict[str, Any] = {"color": GREEN, "ls": (0, (1.5, 1.2)), "lw": 1.8, "zorder": 3}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import yaml
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
@@ -19,6 +20,9 @@ from ahnn.labels import quantity
 TRAINING = {"W": "window", "seconds": "seconds", "val loss": "val_loss"}
 """Columns of training information; losses over windows of different W are not comparable."""
 QUANTITIES = ("position", "velocity", "energy")
+OF_SWEEPER = ("trial=", "hydra.sweep.subdir=")
+PRUNED = Path(".hydra", "pruned")
+"""Mark of the sweeper on the folder of a pruned job."""
 
 
 def sweep_table(folder: Path, jobs: list[Path]) -> Table:
@@ -41,9 +45,10 @@ def sweep_table(folder: Path, jobs: list[Path]) -> Table:
     for job, texts, results in zip(jobs, asked, found, strict=True):
         values = None if results is None else _values(results)
         missing = ["-"] * (len(TRAINING) + len(QUANTITIES) - 1)
-        cells = [*missing, "no scores"] if values is None else values
+        pruned = values is None and (job / PRUNED).exists()
+        cells = [*missing, "pruned" if pruned else "no scores"] if values is None else values
         own = Text(" ".join(text for text in texts if text not in common))
-        table.add_row(job.name, own, *cells, style="red" if values is None else None)
+        table.add_row(job.name, own, *cells, style="red" if values is None and not pruned else None)
     table.caption = "W: steps in the loss; losses for different W are not comparable. Scores: true start."
     table.caption_justify = "left"
     return table
@@ -68,9 +73,10 @@ def _values(results: Results) -> list[str] | None:
 
 
 def _overrides(job: Path) -> list[str]:
-    """Return the overrides of a job."""
+    """Return the overrides of a job, without those that the sweeper adds."""
     try:
-        text = read_whole(job / ".hydra" / "overrides.yaml").decode("utf-8", "replace")
-    except OSError:
+        found = yaml.safe_load(read_whole(job / ".hydra" / "overrides.yaml").decode("utf-8", "replace"))
+    except (OSError, yaml.YAMLError):
         return []
-    return [line[2:] for line in text.splitlines()]
+    texts = map(str, found if isinstance(found, list) else [])
+    return [text for text in texts if not text.startswith(OF_SWEEPER)]

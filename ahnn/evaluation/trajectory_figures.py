@@ -150,7 +150,7 @@ def phase_portrait(case: Case, curves: list[Curve], count: int = 4) -> Figure:
     thick = curves[-1].look | {"lw": 3.0, "alpha": 0.7}
     for model, data in zip(_plane(case, curves[-1].states[:count]), truth, strict=True):
         left.plot(*model.T, **thick, label=curves[-1].name)
-        left.plot(*data.T, **style.TRUTH, label=style.reference(case))
+        left.plot(*data.T, **style.TRACK, label=style.reference(case))
     for curve in reversed(curves):
         _errors_in_plane(right, curve, _plane(case, curve.states[:count]) - truth)
     q, v = (style.state_labels(case)[i] for i in (0, case.space.dof))
@@ -193,7 +193,7 @@ def path(case: Case, curves: list[Curve]) -> Figure:
     figure = style.canvas(7, 5.8)
     axes: Any = figure.subplots()
     truth, model = (x[0, :, :2].numpy() for x in (case.test.states, curves[-1].states))
-    axes.plot(*truth.T, **style.TRUTH, label=style.reference(case))
+    axes.plot(*truth.T, **style.TRACK, label=style.reference(case))
     _coloured(case, figure, axes, LineCollection, model, truth)
     axes.set_aspect("equal", adjustable="datalim")
     for name, text in zip("xy", style.state_labels(case), strict=False):
@@ -215,7 +215,7 @@ def orbit(case: Case, curves: list[Curve]) -> Figure:
         sphere = (np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v))
         look = {"color": style.SKY, "alpha": 0.35, "linewidth": 0, "rasterized": True, "zorder": 1}
         axes.plot_surface(*(radius * s for s in sphere), **look)
-    axes.plot(*truth.T, **style.TRUTH, label=style.reference(case))
+    axes.plot(*truth.T, **style.TRACK, label=style.reference(case))
     _coloured(case, figure, axes, Line3DCollection, model, truth)
     axes.set_aspect("equal")
     for name, text in zip("xyz", style.state_labels(case), strict=False):

@@ -14,6 +14,7 @@ from torch import Generator, Tensor
 from ahnn.arguments import Count, Interval, Positive, Range, Within, check_values
 from ahnn.dynamics.forced import clock_size, forced
 from ahnn.dynamics.forces import Force
+from ahnn.errors import UserError
 from ahnn.types import Flow, Space, Units, as_factor
 
 Eccentricity = Annotated[tuple[float, float] | list[float], Interval(Within(0, below=1))]
@@ -41,8 +42,9 @@ class System(ABC):
 
     A subclass is a frozen dataclass whose fields are its physical constants; all enter the hash under which
     generated trajectories are cached. With additional `forces`, states are extended by time and controls as
-    needed (`ahnn.clock`). An H that is not T(p) + V(q) overrides `hamiltonian` and `separable`;
-    `MassMatrixSystem` does so for p = M(q) dq/dt.
+    needed (`ahnn.clock`). A T(p) that is not p^2 / 2m overrides `velocity`. An H that is not T(p) + V(q)
+    overrides `hamiltonian` and `separable`, and needs no `force`; `MassMatrixSystem` does so for
+    p = M(q) dq/dt.
 
     Attributes:
         name: name in folders and tables.
@@ -83,9 +85,18 @@ class System(ABC):
     def energy(self, x: Tensor) -> Tensor:
         """Return H, shape (...), of the states x, shape (..., D)."""
 
-    @abstractmethod
     def force(self, q: Tensor) -> Tensor:
-        """Return dp/dt = -dV/dq, shape (..., n), at the positions q, shape (..., n)."""
+        """Return dp/dt = -dV/dq, shape (..., n), at the positions q, shape (..., n).
+
+        Raises:
+            UserError: a system defines neither this method nor `hamiltonian` with `separable` False.
+        """
+        del q
+        message = (
+            f"system {self.name}: expected the method `force`; received none. Define -dV/dq, or, where H is "
+            "not T(p) + V(q), override `hamiltonian` and set `separable` to False"
+        )
+        raise UserError(message)
 
     @abstractmethod
     def initial_states(self, count: int, generator: Generator) -> Tensor:
@@ -136,7 +147,7 @@ class System(ABC):
         return Space(*own, mechanical=self.mechanical, controls=self.controls, angles=self.angles)
 
     def velocity(self, p: Tensor) -> Tensor:
-        """Return dq/dt = p / m, shape (..., n), at the momenta p, shape (..., n)."""
+        """Return dq/dt = dT/dp, by default p / m, shape (..., n), at the momenta p, shape (..., n)."""
         return p / as_factor(self.inertia)
 
     def hamiltonian(self, x: Tensor) -> Tensor:
@@ -161,9 +172,11 @@ class System(ABC):
         """Return masks of phases of the motion for states x, shape (..., D): (...) bool by name.
 
         An estimator that is consistent on average may be inconsistent in each phase. By default phases are
-        thirds of the states by size of the force.
+        thirds of the states by size of the force, or of dp/dt for a system without `force`.
         """
-        force = self.force(x.chunk(2, dim=-1)[0]).norm(dim=-1)
+        alone = type(self).force is System.force
+        force = self.hamiltonian(x).chunk(2, dim=-1)[1] if alone else self.force(x.chunk(2, dim=-1)[0])
+        force = force.norm(dim=-1)
         low, high = (force[force.isfinite()].quantile(part) for part in (1 / 3, 2 / 3))
         middle = (force > low) & (force <= high)
         return {"weak force": force <= low, "medium force": middle, "strong force": force > high}

@@ -18,6 +18,10 @@ class MassMatrixSystem(System):
     integrator = "dopri8"
 
     @abstractmethod
+    def force(self, q: Tensor) -> Tensor:
+        """Return -dV/dq, shape (..., n), at the positions q, shape (..., n)."""
+
+    @abstractmethod
     def mass_matrix(self, q: Tensor) -> Tensor:
         """Return M, shape (..., n, n), at the positions q, shape (..., n)."""
 

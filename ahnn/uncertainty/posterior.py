@@ -66,6 +66,22 @@ class Uncertainty:
         return replace(self, **moved, before=before, tangent=narrow)
 
     @property
+    def unfinished(self) -> str:
+        """Warning on a training that ended before its optimum; "" if its bands are meaningful.
+
+        Noise contributes 1 to the squared length of the error for each determined parameter, so that beyond
+        their number the remaining step, which is only a linear estimate, accounts for most of the band.
+        """
+        remaining, determined = (self.about.get(name, 0.0) for name in ("remaining", "determined"))
+        if remaining <= determined:
+            return ""
+        return (
+            f"the training ended before its optimum: {remaining**0.5:.2g} standard deviations remain, of "
+            f"which noise explains {determined**0.5:.2g}, so that the bands are too wide or meaningless. "
+            "Train for more epochs (trainer.max_epochs) or with more closing steps (loss.closing)"
+        )
+
+    @property
     def least_observable(self) -> Tensor | None:
         """Saved least observable directions, for parameters before the function-space step."""
         return (self if self.tangent is None else self.tangent[1]).directions

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from types import SimpleNamespace
 
+import cases
 import pytest
 import torch
 from helpers import MOLNIYA, SPRING, defaults
@@ -16,6 +17,12 @@ from ahnn.data.generate import generate
 from ahnn.data.recorded_sensor import Recorded
 from ahnn.data.sensor import Sensor
 from ahnn.errors import UserError
+from ahnn.evaluation import evaluate
+from ahnn.evaluation.goodness_of_fit import cleaned, outlier_fraction
+from ahnn.evaluation.make_case import make_case
+from ahnn.evaluation.publish import make_results
+from ahnn.evaluation.score_table import results_table
+from ahnn.measurements import Segment
 from ahnn.types import Trajectories
 
 UNITS = {"mass_spring": "[m],[m/s]", "molniya": "[km],[km/s]"}
@@ -183,3 +190,43 @@ def test_messages_name_the_columns_of_the_file():
     space = SPRING.space._replace(components=("height", "pheight"))
     assert Recorded(space, measured="position", noise=0.1).names == ("height",)
     assert Recorded(space, measured="state", noise=0.1).names == ("height", "pheight")
+
+
+@pytest.mark.parametrize("robust", ["none", "student"])
+def test_outliers_are_excluded_from_the_table_as_documented(tmp_path, robust):
+    """The exact equations leave the noise of 0.01, unless every 40th value, off by 1, counts."""
+    system = dataclasses.replace(cases.SPRING, steps=400)
+    simulated = Simulated(system, trajectories=10, seed=0, cache=str(tmp_path))
+    parts = simulated.read()
+    noise = torch.randn(parts.states[..., :1].shape, generator=torch.Generator().manual_seed(0)).double()
+    seen = parts.states[..., :1] + 0.01 * noise
+    seen[:, 20::40] += 1.0
+    space = simulated.space._replace(name="mass_spring")
+    path = written(tmp_path / "data.csv", space, Trajectories(seen, parts.times))
+    source = Files("mine", path, mass=system.mass)
+    splits = module(source, Recorded(source.space, measured="position", noise=0.01)).splits
+    exact = cases.Learned(system.stiffness)
+    exact.assumes = "a spring"
+    case = make_case(exact, splits, label="spring", seed=0, folder=tmp_path, robust=robust)
+    findings = evaluate(case, {}, figures=False)
+    excluded = robust == "student"
+    assert case.outliers == pytest.approx(10 / 401 * excluded)
+    assert findings.rows[0].scores.position == pytest.approx(0.01 if excluded else 0.158, rel=0.1)
+    table = results_table(make_results(case, findings, {}, {}))
+    assert ("2.5 % outliers excluded" in " ".join(table.split())) == excluded
+
+
+def test_values_of_a_path_that_is_wrong_are_no_outliers():
+    """Five of eleven values off are outliers; six are not, since they may be right and the path wrong."""
+    system = cases.SPRING
+    truth = cases.trajectories(system, 2, 0)
+    truth = Trajectories(truth.states[:, :11], truth.times[:, :11])
+    sensor = Sensor(system.space, measured="position", noise=0.01)
+    values = truth.states[..., :1].clone()
+    values[0, :5] += 1.0
+    values[1, :6] += 1.0
+    segment = Segment(values, truth.times, sensor.instrument(system.dt))
+    steps = SimpleNamespace(ends=torch.arange(11))
+    kept = cleaned(segment, SimpleNamespace(states=truth.states), steps, "huber")
+    assert kept.measured.tolist() == [6, 11]
+    assert outlier_fraction(segment, kept) == pytest.approx(5 / 22)

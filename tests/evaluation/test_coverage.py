@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -51,6 +52,16 @@ def test_the_bound_is_the_noise_alone_and_the_band_is_all_that_is_known(tmp_path
     off = prediction(case) - case.test.states
     inside = (off.abs() <= 2 * band.deviations)[:, 1:].double().mean()
     assert band.coverage[1] == pytest.approx(float(inside))
+
+
+@pytest.mark.parametrize(("remaining", "warned"), [(0.99, False), (1.01, True)])
+def test_a_verdict_warns_of_a_training_that_ended_before_its_optimum(tmp_path, remaining, warned):
+    """With one determined parameter, noise alone moves the optimum by one standard deviation."""
+    found = replace(known(0.02), about={"determined": 1.0, "remaining": remaining})
+    findings = evaluate(case_of(tmp_path, found), {}, figures=False)
+    told = [line for line in findings.numbers["verdict"]["findings"] if "ended before its optimum" in line]
+    assert len(told) == warned
+    assert all(line in findings.faults and "loss.closing" in line for line in told)
 
 
 def test_absent_samples_do_not_count(tmp_path):

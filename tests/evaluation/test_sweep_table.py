@@ -9,7 +9,7 @@ from cases import MODEL, make_results, scores
 
 from ahnn.evaluation import Findings, Row, Who
 from ahnn.evaluation.sinks import MetricsSink
-from ahnn.evaluation.sweep_summary import sweep_table
+from ahnn.evaluation.sweep_summary import PRUNED, sweep_table
 from ahnn.evaluation.terminal import show
 
 
@@ -21,6 +21,8 @@ def sweep(tmp_path):
         (job / ".hydra").mkdir(parents=True)
         (job / ".hydra" / "overrides.yaml").write_text(
             f"- window={job.name}\n- model=ahnn\n- data.windows_per_epoch=5000\n- a=[b]\n"
+            f"- trial={{_target_:a.b,storage:'journal:///of mine,\n  folded',trial_id:{job.name}}}\n"
+            f"- hydra.sweep.subdir='{job.name}'\n"
         )
     decoys = [
         Row(Who("exact field, rk4", "true", floor=True), scores(7.7)),
@@ -46,4 +48,14 @@ def test_each_job_has_its_row(sweep, capsys):
     assert jobs[0] == ["0", "window=0", "5", "12.2", "1.00e-09", "1.25", "1.25", "2.50"]
     assert jobs[1] == ["1", "window=1", "1", "-", "0.500", "inf", "inf", "-"]
     for line in jobs[2:]:
-        assert line[-7:] == [*["-"] * 5, "no", "scores"]
+        assert line[1:] == [f"window={line[0]}", *["-"] * 5, "no", "scores"]
+
+
+def test_a_pruned_job_is_no_failure(sweep, capsys):
+    folder, jobs = sweep
+    for job in jobs:
+        (job / PRUNED).touch()
+    show(sweep_table(folder, jobs))
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    found = [line[-1] for line in lines if line and line[0] in ("0", "1", "2", "3")]
+    assert found == ["2.50", "-", "pruned", "pruned"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from test_predict import small
 import ahnn
 from ahnn.data.files import Ephemeris, Files, instant, read_oem, write_oem
 from ahnn.prediction.prediction_table import as_parquet
+from ahnn.uncertainty import save_uncertainty
 
 MOLNIYA = "pretrained=molniya_mechanical"
 STATE = [0.0, -3145.0, -6173.0, 10.0, 0.0, 0.0]
@@ -121,6 +123,19 @@ def test_several_trainings_show_their_spread_and_a_picture(here, cache, capsys, 
     close(column(rows(here / "mixed.csv"), "sd_q [m]")[1:], pair.std(0)[1:], 1e-3)
     assert (here / "out.png").read_bytes()[:4] == b"\x89PNG"
     assert "one + other" in capsys.readouterr().out
+
+
+def test_a_training_that_ended_before_its_optimum_is_named_once(here, cache, caplog):
+    for name, remaining in (("one", 3.0), ("other", 2.0)):
+        run = small(here / name, cache, band=True)
+        found = replace(run.uncertainty, about={"determined": 2.5, "remaining": remaining})
+        save_uncertainty(here / name, found, run.dynamics.state_dict())
+    arguments = ["start=[0.2,0.1]", "duration=1"]
+    assert call("ahnn.predict", "run=other", *arguments) == 0
+    assert "optimum" not in caplog.text
+    assert call("ahnn.predict", "run=[other,one]", *arguments) == 0
+    told = ahnn.load("one").uncertainty.unfinished
+    assert [record.message for record in caplog.records].count(f"1 sigma: {told}") == 1
 
 
 @pytest.mark.slow

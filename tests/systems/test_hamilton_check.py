@@ -10,7 +10,7 @@ from helpers import SYSTEMS, close
 
 from ahnn.data.generate import generate
 from ahnn.errors import UserError
-from ahnn.systems import MassSpring
+from ahnn.systems import FilterNoise, MassSpring, System, Units
 from ahnn.systems.hamilton_check import energy_gradient, require_hamilton
 
 
@@ -60,3 +60,67 @@ def test_another_force_or_velocity_is_refused(system, law):
 
 def test_what_rounding_explains_is_not_refused():
     generate(Stiffer(**SMALL, excess=1e-6), 4, 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Forceless(System):
+    """H = p^2 (1 + q^2) / 2, of which no force is defined."""
+
+    dof = 1
+    components = ("q", "p")
+    units = Units()
+    integrator = "dopri8"
+    noise = FilterNoise(1e-3, 1e-3, 1e-3)
+
+    def energy(self, x):
+        q, p = x.unbind(-1)
+        return p**2 * (1 + q**2) / 2
+
+    def initial_states(self, count, generator):
+        return 0.5 + torch.rand(count, 2, generator=generator, dtype=torch.float64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class General(Forceless):
+    """The same with its field."""
+
+    separable = False
+
+    def hamiltonian(self, x):
+        q, p = x.unbind(-1)
+        return torch.stack((p * (1 + q**2), -(p**2) * q), dim=-1)
+
+
+def test_a_general_hamiltonian_needs_no_force():
+    system = General(**SMALL)
+    x = generate(system, 30, 0).states
+    close(system.energy(x), system.energy(x[:, :1]).expand(x.shape[:-1]), 1e-9)
+    weak, _, strong = system.phases(x).values()
+    rates = (x[..., 1] ** 2 * x[..., 0]).abs()
+    assert rates[weak].max() < rates[strong].min()
+    with pytest.raises(UserError, match=r"system own: expected the method `force`; received none\. Define"):
+        generate(Forceless(**SMALL), 4, 0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exponential(MassSpring):
+    """H = e^p - p + e^q - q, with differences at rest that are rounding errors, but not 0."""
+
+    def energy(self, x):
+        return (x.exp() - x).sum(-1)
+
+    def velocity(self, p):
+        return p.exp() - 1
+
+    def force(self, q):
+        return 1 - q.exp()
+
+
+def test_at_rest_rounding_errors_are_no_other_energy():
+    system = Exponential(**SMALL)
+    x = torch.stack((torch.linspace(-1, 1, 100).double(), torch.zeros(100).double()), -1)
+    assert bool(energy_gradient(system, x)[:, 1].abs().max() > 0)
+    require_hamilton(system, x)
+    object.__setattr__(system, "velocity", lambda p: p.exp() - 1 + 1e-8)
+    with pytest.raises(UserError, match="dq/dt = dH/dp"):
+        require_hamilton(system, x)

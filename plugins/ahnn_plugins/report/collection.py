@@ -12,9 +12,9 @@ from torch import Tensor
 from ahnn.contents import require_regular
 from ahnn.errors import UserError
 from ahnn.evaluation.results import FILE, Results, load_results
+from ahnn_plugins.report.settings import SETTINGS, data_of, values_of
 
 PREDICTIONS = "predictions.safetensors"
-SETTINGS = "config.yaml"
 EVALUATIONS = "evaluations"
 PAPER = ("mass_spring", "molniya")
 """Systems of the paper, in its order."""
@@ -26,15 +26,12 @@ class Entry(NamedTuple):
     Attributes:
         folder: folder with metrics.json and, if predictions were kept, predictions.safetensors.
         results: content of metrics.json.
+        system: name of the system, with the data file or unit where these differ between the runs.
     """
 
     folder: Path
     results: Results
-
-    @property
-    def system(self) -> str:
-        """Name of the system."""
-        return self.results.space.name
+    system: str
 
     @property
     def model(self) -> str:
@@ -113,8 +110,35 @@ def collect(folders: Iterable[Path]) -> Collection:
         for each in begun:
             if not ((each / FILE).exists() or (each / EVALUATIONS).exists() or each.name == ".hydra"):
                 unfinished.setdefault(each.resolve(), each)
-    entries = tuple(Entry(folder, load_results(folder)) for folder in found.values())
+    loaded = {folder: load_results(folder) for folder in found.values()}
+    names = system_names(loaded)
+    entries = tuple(Entry(folder, results, names[folder]) for folder, results in loaded.items())
     return Collection(entries, tuple(unfinished.values()))
+
+
+def system_names(runs: dict[Path, Results]) -> dict[Path, str]:
+    """Return the name of each run's system; systems of one name with other data or units get distinct names.
+
+    Scores in other units, or of other objects, have no common mean.
+    """
+    files = {folder: data_of(values_of(folder)) for folder in runs}
+    full = {folder: ", ".join(paths) for folder, paths in files.items()}
+    short = {folder: ", ".join(Path(path).name for path in paths) for folder, paths in files.items()}
+    data = short if len(set(short.values())) == len(set(full.values())) else full
+    units = {f: f"{results.space.units.position}, {results.space.units.time}" for f, results in runs.items()}
+    names = {folder: results.space.name for folder, results in runs.items()}
+    return _distinct(_distinct(names, data, "{} ({})"), units, "{} [{}]")
+
+
+def _distinct(names: dict[Path, str], values: dict[Path, str], form: str) -> dict[Path, str]:
+    """Return the names with their values, where values of one name differ."""
+    found: dict[str, set[str]] = {}
+    for folder, name in names.items():
+        found.setdefault(name, set()).add(values[folder])
+    return {
+        folder: form.format(name, values[folder] or "unknown data") if len(found[name]) > 1 else name
+        for folder, name in names.items()
+    }
 
 
 def runs_below(folder: Path) -> list[Path]:

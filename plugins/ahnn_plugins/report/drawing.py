@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 
 from torch import Tensor
 
-Role = Literal["model", "seed", "truth", "floor", "filter", "measurement", "paper", "term"]
+Role = Literal["model", "seed", "truth", "floor", "filter", "measurement", "paper", "term", "track"]
 Kind = Literal["lines", "orbit", "dots"]
 
 
@@ -18,7 +18,7 @@ class Series(NamedTuple):
         x, y: values, (T,); NaN interrupts a curve.
         z: third coordinate of an orbit, (T,).
         role: role of the series. A `filter` is a model that assimilates, a `seed` one run of several of a
-            model, a `term` a part of a sum.
+            model, a `term` a part of a sum, a `track` a true path: dashes of its revolutions would overlap.
         slot: index of its model in the report, or of its term; role and slot determine colour and dash, so
             that a model looks the same in every figure.
         low, high: band about a curve, (T,).
@@ -47,6 +47,7 @@ class Panel(NamedTuple):
         ticks: labels of positions 0, 1, ... on a categorical horizontal axis.
         radius: radius of the planet at the origin of an orbit, in the unit of the axes; 0: no planet.
         limits: limits of the vertical axis; None for all data.
+        note: text beside the label of the vertical axis.
     """
 
     series: tuple[Series, ...]
@@ -58,6 +59,7 @@ class Panel(NamedTuple):
     ticks: tuple[str, ...] = ()
     radius: float = 0.0
     limits: tuple[float, float] | None = None
+    note: str = ""
 
 
 class Drawing(NamedTuple):

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from matplotlib.ticker import MaxNLocator
 from torch import Tensor
 
 from ahnn.evaluation.style import SKY
@@ -22,8 +23,8 @@ ABOVE, BELOW, GAP = 34, 46, 58
 """Pixels above the first panel, between the last one and the legend, and between panels."""
 TALL, LOW, SPACE = 250, 150, 500
 """Heights of a panel among few, of a panel among many, and of a scene."""
-SHORT, LONG = 30.0, 1e6
-"""Dynamic range of log axes up to which labels are set here; plotly labels longer ones."""
+NARROW, SHORT, LONG = 2.5, 30.0, 1e6
+"""Dynamic ranges of log axes with linear labels, labels between powers of ten, and labels set here at all."""
 DISTANCE = 2.3
 """Distance of the eye from a scene, in units of its size."""
 
@@ -91,7 +92,8 @@ def _stack(drawing: Drawing) -> Any:
 def _heading(panel: Panel, top: float) -> dict[str, Any]:
     """Return the label of a vertical axis, placed above it, since narrow screens lack room to its left."""
     place = {"xref": "paper", "yref": "paper", "x": 0, "y": top, "xanchor": "left", "yanchor": "bottom"}
-    return {"text": html.escape(panel.y), "showarrow": False, "yshift": 2, **place}
+    text = html.escape(", ".join(filter(None, (panel.y, panel.note))))
+    return {"text": text, "showarrow": False, "yshift": 2, **place}
 
 
 def _layout(height: int, legend: dict[str, Any]) -> dict[str, Any]:
@@ -149,6 +151,9 @@ def _decades(panel: Panel) -> dict[str, Any]:
     low, high = float(values.min()), float(values.max())
     if high >= SHORT * low:
         return {"dtick": 1}
+    if high < NARROW * low:  # none of the ticks below may lie between
+        ticks = list(map(float, MaxNLocator(4).tick_values(low, high)))
+        return {"tickvals": ticks, "ticktext": [f"{tick:.6g}" for tick in ticks]}
     # plotly would label these by a digit without its power of ten.
     decades = range(math.floor(math.log10(low)) - 2, math.ceil(math.log10(high)) + 3)
     ticks = [float(f"{digit}e{decade}") for decade in decades for digit in (1, 2, 5)]

@@ -34,6 +34,7 @@ class Look(NamedTuple):
 
 FIXED = {
     "truth": Look(INK, "dash", 1.0),
+    "track": Look(INK, width=0.7),
     "floor": Look(BLUE, "longdashdot", 1.5, SYMBOLS["floor"]),
     "paper": Look(INK, symbol=SYMBOLS["paper"]),
     "measurement": Look(INK),

@@ -17,29 +17,35 @@ from ahnn_plugins.report.settings import loss_of, noise_of, values_of
 
 def score_table(board: Board) -> Grid:
     """Build the table of all rows of all models with floors."""
-    lines = []
+    lines, quantities = [], scored(board.entries)
     for model, entries in board.groups.items():
         lines.append(Line(model))
         for who in dict.fromkeys(r.who for e in entries for r in e.results.rows if not r.who.floor):
             count = sum(entry.results.row(who) is not None for entry in entries)
             cells = [Cell(str(count))]
-            for quantity in QUANTITIES:
+            for quantity in quantities:
                 floor = floors(entries, who, quantity)
                 cells += [
                     Cell(mean_and_spread(sample(entries, who, quantity))),
                     Cell(shown(floor.mean if floor.values else None), "quiet"),
                 ]
             lines.append(Line(described(who, model), tuple(cells)))
-    names = [headed(board.entries[0].results.space, q) for q in QUANTITIES]
+    names = [headed(board.entries[0].results.space, q) for q in quantities]
     heads = (
         (Head(""), Head(""), *(Head(name, 2) for name in names)),
-        (Head("Prediction"), Head("runs"), *((Head("model"), Head("floor")) * 3)),
+        (Head("Prediction"), Head("runs"), *((Head("model"), Head("floor")) * len(names))),
     )
     caption = (
         "States: mean over trajectories of the rms vector norm; mean ± standard deviation over runs. Floor: "
         "score of the exact equations. Settled: after the first update."
     )
     return Grid(f"scores_{board.system}", "All scores.", caption, heads, tuple(lines))
+
+
+def scored(entries: Iterable[Entry]) -> list[str]:
+    """Return the quantities with a score in some row: velocities may be unmeasured, energies unknown."""
+    rows = [row.scores for entry in entries for row in entry.results.rows]
+    return [q for q in QUANTITIES if measured(getattr(scores, q) for scores in rows).values]
 
 
 def floors(entries: Iterable[Entry], who: Who, quantity: str) -> Sample:
@@ -76,20 +82,20 @@ def ladder_table(board: Board) -> Grid | None:
         steps.setdefault(key, []).append(entry)
     if len(steps) < 2:
         return None
-    lines = []
+    lines, quantities = [], scored(board.entries)
     for (assumes, loss, noise), entries in steps.items():
         start = "true" if any(e.results.row(Who(MODEL, "true")) for e in entries) else "fitted"
         models = ", ".join(dict.fromkeys(entry.model for entry in entries))
         cells = [Cell(text, "words") for text in (loss, noise, models)]
         cells += [Cell(str(len(entries))), Cell(start, "words")]
-        cells += [Cell(mean_and_spread(sample(entries, Who(MODEL, start), q))) for q in QUANTITIES]
+        cells += [Cell(mean_and_spread(sample(entries, Who(MODEL, start), q))) for q in quantities]
         lines.append(Line(assumes, tuple(cells)))
     names = ("loss", "noise of the data", "models", "runs", "start")
     heads = (
         (
             Head("Prior knowledge"),
             *map(Head, names),
-            *(Head(headed(board.entries[0].results.space, q)) for q in QUANTITIES),
+            *(Head(headed(board.entries[0].results.space, q)) for q in quantities),
         ),
     )
     caption = "Without measurements; mean ± standard deviation over the runs that share the first columns."

@@ -79,9 +79,11 @@ def _figure(picture: Picture) -> Markup:
 
 
 def of_system(found: list[Picture], systems: list[str]) -> dict[str, list[Picture]]:
-    """Group figures by the longest system name that is a prefix of their name; "" if there is none."""
-    placed: dict[str, list[Picture]] = {}
+    """Group figures by the longest system name with which their name begins; "" if there is none."""
+    from ahnn_plugins.report.figures.task import file_name
+
+    names, placed = {s: file_name(s) for s in systems}, dict[str, list[Picture]]()
     for picture in found:
-        fits = [s for s in systems if picture.drawing.name.startswith(s)]
-        placed.setdefault(max(fits, key=len, default=""), []).append(picture)
+        fits = [s for s, name in names.items() if picture.drawing.name.startswith(f"{name}_")]
+        placed.setdefault(max(fits, key=lambda s: len(names[s]), default=""), []).append(picture)
     return placed

@@ -8,7 +8,8 @@ from typing import Any
 
 from ahnn.contents import read_plain, read_whole
 from ahnn.errors import UserError
-from ahnn_plugins.report.collection import SETTINGS
+
+SETTINGS = "config.yaml"
 
 
 def text_of(folder: Path) -> str:
@@ -32,6 +33,13 @@ def noise_of(content: dict[str, Any]) -> str:
     data = content.get("data")
     noise = data.get("noise") if isinstance(data, dict) else None
     return "exact" if noise is None else str(noise)[:60]
+
+
+def data_of(content: dict[str, Any]) -> tuple[str, ...]:
+    """Return the paths of the data files of a training; empty for a system with known equations."""
+    system = content.get("system")
+    path = system.get("path") if isinstance(system, dict) else None
+    return tuple(map(str, path)) if isinstance(path, list) else () if path is None else (str(path),)
 
 
 def loss_of(content: dict[str, Any]) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from ahnn.evaluation import style
 from ahnn_plugins.report.drawing import Drawing, Panel, Series
@@ -22,8 +22,8 @@ DASHES: dict[str, Any] = {
     "longdashdot": (0, (8, 2, 1.2, 2)),
 }
 MARKERS = {"circle": "o", "square": "s", "line": "_", "x": "x"}
-SHORT = 30.0
-"""Dynamic range of an axis with labels between powers of ten."""
+NARROW, SHORT = 2.5, 30.0
+"""Dynamic ranges of log axes with linear labels, and with labels between powers of ten."""
 MANY = 3
 """Maximum number of panels in one column; more use two."""
 
@@ -58,6 +58,8 @@ def _fill(axes: Any, panel: Panel, drawing: Drawing) -> None:
     for series in panel.series:
         (_dots if is_dots(series, drawing.kind) else _line)(axes, series)
     axes.set_ylabel(_plain(panel.y))
+    if panel.note:
+        axes.set_title(_plain(panel.note), loc="right", fontsize=9)
     axes.grid(alpha=0.3)
     if panel.ticks:
         axes.set_xticks(range(len(panel.ticks)), [_plain(tick) for tick in panel.ticks])
@@ -76,7 +78,10 @@ def _logarithmic(axes: Any) -> None:
     """Make the vertical axis logarithmic, with labels at powers of ten, or between them on short axes."""
     axes.set_yscale("log")
     low, high = axes.get_ylim()
-    if high < SHORT * low:
+    if high < NARROW * low:
+        axes.yaxis.set_major_locator(MaxNLocator(4))
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.6g}"))
+    elif high < SHORT * low:
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())
@@ -93,7 +98,7 @@ def _line(axes: Any, series: Series) -> None:
 
 def _line_options(series: Series) -> dict[str, Any]:
     found = look(series)
-    order = {"truth": 4, "floor": 3}.get(series.role, 2)
+    order = {"truth": 4, "track": 4, "floor": 3}.get(series.role, 2)
     return {"color": _colour(found.colour), "ls": DASHES[found.dash], "lw": found.width, "zorder": order}
 
 

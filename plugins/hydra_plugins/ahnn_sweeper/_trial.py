@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import math
 import os
+from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydra.core.utils import JobStatus
@@ -19,6 +21,9 @@ if TYPE_CHECKING:
     from omegaconf import DictConfig
 
 logger = logging.getLogger(__name__)
+
+MARK = Path(".hydra", "pruned")
+"""File in the folder of a pruned job, for the table of the sweep."""
 
 
 def load_trial(storage: str, study_name: str, trial_id: int) -> optuna.Trial:
@@ -59,14 +64,15 @@ class TrialCallback(Callback):
         self._lease.__enter__()
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:  # noqa: ARG002
-        """Report the outcome of the trial to the study."""
+        """Report the outcome of the trial to the study, and mark the folder of a pruned job."""
         if self._trial is None or self._lease is None:
             _forgive_pruning(job_return)
             return
         trial, self._trial = self._trial, None
         self._lease.__exit__()
         if job_return.status == JobStatus.FAILED:
-            _tell_exception(trial, job_return)
+            if _tell_exception(trial, job_return):
+                _mark(Path(config.hydra.runtime.output_dir))
         else:
             _tell_value(trial, job_return._return_value)
 
@@ -98,17 +104,24 @@ def _forgive_pruning(job_return: JobReturn) -> bool:
     return True
 
 
-def _tell_exception(trial: optuna.Trial, job_return: JobReturn) -> None:
-    """Store a pruned trial as PRUNED, any other exception as FAIL."""
+def _mark(folder: Path) -> None:
+    """Mark the folder of a pruned job, unless its configuration has no folder."""
+    with suppress(OSError):
+        (folder / MARK).touch()
+
+
+def _tell_exception(trial: optuna.Trial, job_return: JobReturn) -> bool:
+    """Store a pruned trial as PRUNED, any other exception as FAIL; return whether it was pruned."""
     import optuna
 
     error = job_return._return_value
     if _forgive_pruning(job_return):
         trial.study.tell(trial.number, state=optuna.trial.TrialState.PRUNED, skip_if_finished=True)
-        return
+        return True
     logger.error("trial %d failed", trial.number, exc_info=error)
     text = str(error).partition("\n")[0]
     _fail(trial, f"{type(error).__name__}: {text}")
+    return False
 
 
 def _fail(trial: optuna.Trial, reason: str) -> None:

@@ -57,7 +57,8 @@ def test_a_report_is_shown_on_a_desk_and_on_a_phone_and_its_orbit_turns(page, tm
     assert page.value(CAMERA) != before
 
     page("Emulation.setEmulatedMedia", media="print")
-    assert page.value("getComputedStyle(document.querySelector('nav')).display") == "none"
+    for hidden in ("nav", ".modebar"):
+        assert page.value(f"getComputedStyle(document.querySelector('{hidden}')).display") == "none"
     page.value("dispatchEvent(new Event('beforeprint'))")
     assert page.value("document.querySelectorAll('details:not([open])').length") == 0
     assert not page.problems

@@ -11,6 +11,7 @@ from runs import ORBIT, SEEDS, SPRING, paper_rows, reproduction, results, scores
 
 from ahnn.errors import UserError
 from ahnn.evaluation import Row, Who
+from ahnn.types import Units
 from ahnn_plugins.report.collection import collect
 from ahnn_plugins.report.comparisons import ablation_table, agreement, order_table, ordered
 from ahnn_plugins.report.grid import Cell, Line
@@ -186,25 +187,18 @@ def test_a_system_of_other_units_or_another_name_has_no_numbers_of_the_paper(tmp
     other = board(collect([tmp_path / "b"]), "pendulum")
     assert not is_of_paper(other)
     assert other.printed(Measure("HNN")) is None
-    assert line(score_table(other), "no measurements, true start") == [
-        "1",
-        "1.00",
-        "–",
-        "2.00",
-        "–",
-        "–",
-        "–",
-    ]
+    assert line(score_table(other), "no measurements, true start") == ["1", "1.00", "–", "2.00", "–"]
 
 
-def test_what_was_not_measured_is_a_dash_and_what_is_lost_is_said(tmp_path):
+def test_what_was_not_measured_has_no_column_and_what_is_lost_is_said(tmp_path):
     for seed in SEEDS:  # positions alone
         rows = [Row(Who("model", "true"), scores(1.0, math.nan, math.inf))]
         rows.append(Row(Who("exact", "true", floor=True), scores(0.5, math.nan)))
         write(tmp_path / str(seed), results(rows, seed=seed))
     found = score_table(board(collect([tmp_path]), "mass_spring"))
     cells = line(found, "no measurements, true start")
-    assert (cells[3], cells[4], cells[5]) == ("–", "–", "lost in 3 of 3")
+    assert cells[1:] == ["1.00 ± 0", "0.500", "lost in 3 of 3", "0.00100"]
+    assert [head.text for head in found.heads[0][2:]] == ["position [m]", "energy [J]"]
 
 
 def test_a_tuned_filter_stands_in_the_rows_of_the_paper_beside_the_floor_of_the_plain_one(tmp_path):
@@ -276,3 +270,24 @@ def test_markdown_has_a_cell_in_each_column_and_no_sign_of_its_own_from_outside(
     assert told.startswith(r"**a\|b &lt;b&gt;\*c\*** ")
     assert group == r"| x\|y |" + "  |" * 12
     assert line == "| z |" + r" \`1\|2\` |" * 12
+
+
+def test_runs_on_other_files_or_in_other_units_are_never_pooled(tmp_path):
+    """Seeds of one file share a row; a file of this name elsewhere, or in metres, has a row of its own."""
+    kilometres = ORBIT._replace(name="files")
+    metres = kilometres._replace(units=Units("s", "m", "m/s", "m²/s²"))
+    runs = [("a", 7, kilometres, "one/gto.csv", 1.0), ("b", 8, kilometres, "one/gto.csv", 3.0)]
+    runs += [("c", 7, metres, "one/gto.csv", 5e3), ("d", 7, kilometres, "two/gto.csv", 40.0)]
+    for name, seed, space, path, error in runs:
+        rows = [Row(Who("model", "fitted"), scores(error, energy=None))]
+        folder = write(tmp_path / name, results(rows, seed=seed, space=space))
+        (folder / "config.yaml").write_text(f"system: {{name: files, path: {path}}}\n")
+    found = collect([tmp_path])
+    table = [row for row in csv.DictReader(io.StringIO(scores_csv(found))) if row["quantity"] == "position"]
+    assert {(r["system"], r["unit"], r["runs"], float(r["mean"])) for r in table} == {
+        ("files (one/gto.csv) [km, s]", "km", "2", 2.0),
+        ("files (one/gto.csv) [m, s]", "m", "1", 5e3),
+        ("files (two/gto.csv)", "km", "1", 40.0),
+    }
+    assert collect([tmp_path / "a", tmp_path / "b"]).systems() == ["files"]
+    assert collect([tmp_path / "a", tmp_path / "c"]).systems() == ["files [km, s]", "files [m, s]"]

@@ -11,6 +11,8 @@ import pytest
 import yaml
 from sweeps import APP, ROOT, SEARCH, assert_none_lost_or_doubled, states, sweep, trials
 
+from ahnn.evaluation.sweep_summary import PRUNED
+
 
 @pytest.mark.slow
 def test_states_files_and_resume(tmp_path: Path):
@@ -23,6 +25,8 @@ def test_states_files_and_resume(tmp_path: Path):
     found = trials(folder)
     assert_none_lost_or_doubled(found, 8)
     assert [t.state.name == "PRUNED" for t in found] == [t.params["x"] > 0.8 for t in found]
+    marked = [(folder / str(t.number) / PRUNED).exists() for t in found]
+    assert marked == [t.state.name == "PRUNED" for t in found]
     assert 0 < states(found).count("PRUNED") < 8
     assert {path.name for path in folder.iterdir() if path.is_dir()} == {"experiment", *map(str, range(8))}
     for name in ("best.yaml", "history.png", "importance.png", "parallel.png", "multirun.yaml"):

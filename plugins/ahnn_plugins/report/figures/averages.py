@@ -50,7 +50,7 @@ def _norms(task: Task, prefix: str, start: str) -> Drawing:
     ]
     name = f"averages_{'ukf_' if prefix else ''}{start}"
     title, caption = _title(task, prefix, start, dof == 1), _caption(task, start)
-    return task.drawing(name, title, caption, panels, spread=task.spread())
+    return task.drawing(name, title, caption, _filled(panels), spread=task.spread())
 
 
 def _components(task: Task, prefix: str, start: str) -> Drawing:
@@ -58,7 +58,9 @@ def _components(task: Task, prefix: str, start: str) -> Drawing:
     panels = [_panel(task, f"{prefix}{start}", i, label, smoothed) for i, label in enumerate(labels)]
     name = f"averages_{'ukf_' if prefix else ''}{start}_components"
     title = f"{_title(task, prefix, start, True)}, by component"
-    return task.drawing(name, title, _caption(task, start, "component"), panels, spread=task.spread())
+    return task.drawing(
+        name, title, _caption(task, start, "component"), _filled(panels), spread=task.spread()
+    )
 
 
 def _unsmoothed(task: Task, start: str) -> Drawing:
@@ -69,7 +71,13 @@ def _unsmoothed(task: Task, start: str) -> Drawing:
     ]
     count = task.lead.members
     caption = f"Root mean square over {count} test trajectories of the norm of the error, at every sample."
-    return task.drawing(f"error_{start}", f"error over time, {start} start", caption, panels)
+    return task.drawing(f"error_{start}", f"error over time, {start} start", caption, _filled(panels))
+
+
+def _filled(panels: list[Panel]) -> list[Panel]:
+    """Return the panels with values: velocities that were not measured have no errors."""
+    found = [panel for panel in panels if any(bool(s.y.isfinite().any()) for s in panel.series)]
+    return found or panels[:1]
 
 
 def smoothed(series: Tensor) -> Tensor:

@@ -26,7 +26,7 @@ def orbits(task: Task) -> Drawing:
     lead = task.lead
     x, y, z = state_labels(lead)[:3]
     radius = float(getattr(lead.system, "r_eq", 0.0))
-    series = [path(lead.known, lead.path[:, :3], role="truth", hover=_told(lead, lead.path[:, :3], radius))]
+    series = [path(lead.known, lead.path[:, :3], role="track", hover=_told(lead, lead.path[:, :3], radius))]
     for run in task.drawn:
         points = cut(run.first[run.start][:, :3], run.path[:, :3])
         told = _told(run, points, radius, run.path[:, :3])
@@ -53,7 +53,7 @@ def _flat(task: Task, name: str, title: str, columns: slice) -> Drawing:
     lead, inertia = task.lead, task.lead.space.divisor
     x, y = state_labels(lead)[columns]
     truth = velocities(lead.path, inertia)[:, columns]
-    series = [path(lead.known, truth, role="truth", hover={_time(lead): lead.time})]
+    series = [path(lead.known, truth, role="track", hover={_time(lead): lead.time})]
     for run in task.drawn:
         points = cut(velocities(run.first[run.start], inertia)[:, columns], truth)
         series.append(path(run.entry.model, points, slot=run.slot, hover={_time(run): run.time}))
@@ -63,7 +63,7 @@ def _flat(task: Task, name: str, title: str, columns: slice) -> Drawing:
 
 
 def _behind(series: list[Series]) -> tuple[Series, ...]:
-    """Return series with the truth last, so that its thin dashed line is on top."""
+    """Return series with the truth last, so that its thin line is on top."""
     return (*series[1:], series[0])
 
 

@@ -21,9 +21,11 @@ from ahnn_plugins.report.scores import plain_filter
 Quantity = Literal["position", "velocity", "energy"]
 
 BESIDE = 0.17
-"""Horizontal offsets of a model without a filter and with one."""
+"""Horizontal offsets of a model without a filter and with one, if there are both."""
 SEEDS = 0.06
-"""Horizontal offset of the seeds from the dot of their model."""
+"""Horizontal offset of the seeds from the dot of their model, to either side."""
+FAR = 100.0
+"""Ratio to the lowest score from which a floor is stated instead of drawn: the scores would be a line."""
 SIDES = "Left: without measurements; right: with the filter. "
 SPREAD = "Small dots: the seeds; large dots: their geometric mean."
 TABLES = "The tables give mean ± standard deviation over the seeds. "
@@ -51,26 +53,52 @@ def _of_start(
     system: str, models: list[str], groups: list[list[Entry]], start: str, slots: dict[str, int]
 ) -> Drawing | None:
     panels = []
+    beside = _beside(groups, (start,))
     for quantity in get_args(Quantity):
         series: list[Series] = []
         for i, (model, runs) in enumerate(zip(models, groups, strict=True)):
-            series += _of_model(runs, start, quantity, i, slots[model])
-        paper = [_printed(system, m, start, quantity, i) for i, m in enumerate(models)]
+            series += _of_model(runs, start, quantity, (i, beside), slots[model])
+        paper = [_printed(system, m, start, quantity, (i, beside)) for i, m in enumerate(models)]
         series += _dots("paper", [dot for several in paper for dot in several], "paper")
         if _has_model(series):
             label = f"{quantity} RMSE [{_unit(groups[0][0], quantity)}]"
-            panels.append(Panel(_merged(series), "", label, log=True, ticks=tuple(models)))
+            panels.append(_near(Panel(_merged(series), "", label, log=True, ticks=tuple(models))))
     if not panels:
         return None
     title = f"{system}: RMSE of the models, {start} start"
-    return _drawing(f"{file_name(system)}_rmse_{start}", title, SIDES, panels)
+    return _drawing(f"{file_name(system)}_rmse_{start}", title, SIDES if beside else "", panels)
 
 
-def _of_model(runs: list[Entry], start: str, quantity: Quantity, place: int, slot: int) -> list[Series]:
+def _beside(groups: Iterable[list[Entry]], starts: Sequence[str]) -> float:
+    """Return the offset of scores with and without a filter: 0 where no run has a filter."""
+    rows = (row.who for runs in groups for run in runs for row in run.results.rows)
+    return BESIDE * any(who.estimator is not None and who.start in starts for who in rows)
+
+
+def _near(panel: Panel) -> Panel:
+    """Return a panel in which floors far below the scores are stated instead of drawn."""
+    scored = [s.y for s in panel.series if s.role != "floor"]
+    lowest, kept, below = float(torch.cat(scored).min()) / FAR, [], list[float]()
+    for series in panel.series:
+        far = (series.y < lowest) & (series.role == "floor")
+        below += series.y[far].tolist()
+        series = series._replace(x=series.x[~far], y=series.y[~far])
+        kept += [series] if len(series.y) else []
+    if not below:
+        return panel
+    limits = dict.fromkeys(f"{value:.2g}" for value in (min(below), max(below)))
+    return panel._replace(series=tuple(kept), note=f"floor: {' to '.join(limits)}, below the axis")
+
+
+def _of_model(
+    runs: list[Entry], start: str, quantity: Quantity, at: tuple[int, float], slot: int
+) -> list[Series]:
+    """Return the dots of a model at a place, with the offset of its scores with and without a filter."""
     model, found, own = runs[0].model, [], plain_filter(runs)
+    place, beside = at
     kinds: tuple[tuple[str | None, str, Role, Role, float], ...] = (
-        (None, "", "model", "floor", -BESIDE),
-        (own, f" + {estimator_title(own)}", "filter", "floor", BESIDE),
+        (None, "", "model", "floor", -beside),
+        (own, f" + {estimator_title(own)}", "filter", "floor", beside),
     )
     for estimator, suffix, role, floor_role, offset in kinds:
         scores = _scores(runs, start, quantity, estimator, floor=False)
@@ -95,8 +123,9 @@ def _scores(
     return tuple(found)
 
 
-def _printed(system: str, model: str, start: str, quantity: Quantity, place: int) -> list[Dot]:
-    both = ((False, -BESIDE), (True, BESIDE))
+def _printed(system: str, model: str, start: str, quantity: Quantity, at: tuple[int, float]) -> list[Dot]:
+    place, beside = at
+    both = ((False, -beside), (True, beside)) if beside else ((False, 0.0),)
     values = (
         (printed_value(system, model, start, quantity, ukf=ukf), place + offset) for ukf, offset in both
     )
@@ -109,7 +138,8 @@ def _dots(label: str, dots: Sequence[Dot], role: Role, slot: int = 0) -> list[Se
     for dot in dots:
         values = [v for v in dot.values if 0 < v < LOST]
         means += [(dot.place, geometric_mean(values))] if values else []
-        seeds += [(dot.place + SEEDS, v) for v in values] if len(values) > 1 else []
+        sides = (dot.place + SEEDS * (1 if i % 2 else -1) for i in range(len(values)))
+        seeds += zip(sides, values, strict=True) if len(values) > 1 else []
     both: tuple[tuple[Role, list[tuple[float, float]]], ...] = ((role, means), ("seed", seeds))
     return [
         Series(label, *torch.tensor(rows, dtype=torch.float64).unbind(-1), role=each, slot=slot)
@@ -146,16 +176,16 @@ def _ablation(system: str, entries: Sequence[Entry], slots: dict[str, int]) -> D
     ]
     places = [windows.index(row[0].results.training["window"]) for row in rows]
     ticks = tuple(f"W = {window}" for window in windows)
-    panels = []
+    panels, beside = [], _beside(rows, STARTS)
     for start, quantity in ((start, quantity) for start in STARTS for quantity in get_args(Quantity)):
         several = (
-            _of_model(row, start, quantity, p, slots[row[0].model])
+            _of_model(row, start, quantity, (p, beside), slots[row[0].model])
             for row, p in zip(rows, places, strict=True)
         )
         series = _merged([each for found in several for each in found])
         label = f"{quantity} [{_unit(rows[0][0], quantity)}], {start}"
-        panels += [Panel(series, "", label, log=True, ticks=ticks)] if _has_model(series) else []
-    caption = f"Models with the same assumptions, {assumes}. {SIDES}"
+        panels += [_near(Panel(series, "", label, log=True, ticks=ticks))] if _has_model(series) else []
+    caption = f"Models with the same assumptions, {assumes}. {SIDES if beside else ''}"
     title = f"{system}: RMSE over the window W of the loss"
     return _drawing(f"{file_name(system)}_windows", title, caption, panels)
 
