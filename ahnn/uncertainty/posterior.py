@@ -76,8 +76,8 @@ class Uncertainty:
         if remaining <= determined:
             return ""
         return (
-            f"the training ended before its optimum: {remaining**0.5:.2g} standard deviations remain, of "
-            f"which noise explains {determined**0.5:.2g}, so that the bands are too wide or meaningless. "
+            f"the training ended before its optimum: the remaining step is {remaining**0.5:.2g} standard "
+            f"deviations long (noise alone: {determined**0.5:.2g}), so its bands are too wide or void. "
             "Train for more epochs (trainer.max_epochs) or with more closing steps (loss.closing)"
         )
 
