@@ -36,7 +36,7 @@ def row(version: str, python: str, resolution: str, arguments: list[str]) -> str
     place = PLACE / f"{version}-{resolution}"
     ours = place / "bin" / "python"
     uv = [sys.executable, "-m", "uv"]
-    subprocess.run([*uv, "venv", "-q", "--clear", "-p", python, place], check=True)
+    subprocess.run([*uv, "venv", "-q", "--seed", "--clear", "-p", python, place], check=True)
     install = [*uv, "pip", "install", "-q", "-p", ours, f"--resolution={resolution}", "-e", f"{ROOT}[dev]"]
     subprocess.run(install, check=True)
     # the newest indirect libraries warn of what the oldest direct ones still do
