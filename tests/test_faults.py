@@ -147,7 +147,7 @@ def test_a_library_that_cannot_be_imported_is_one_message(tmp_path, monkeypatch,
     job = started(tmp_path, *FIRST, f"run={tmp_path / 'run'}")
     said, _ = job.communicate(timeout=60)
     assert job.returncode == 2
-    assert "ahnn: environment: a library cannot be imported: " in said
+    assert "ahnn: environment: cannot import a library (" in said
     assert "Traceback" not in said
 
 

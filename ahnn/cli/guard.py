@@ -74,7 +74,7 @@ def guard(entry: Callable[[], Any]) -> int:
             return report(f"memory: expected a job that fits; received: {said}. Reduce the job")
         if in_library(error):
             said = " ".join(f"{type(error).__name__}: {error}".split())
-            return report(f"environment: a library cannot be imported: {said}. Check the variables")
+            return report(f"environment: cannot import a library ({said}). Check the environment variables")
         if not isinstance(error, OSError):
             raise
         if isinstance(error, BrokenPipeError):

@@ -64,7 +64,7 @@ class Evaluation:
 
 
 def check_again(cfg: DictConfig) -> None:
-    """Check settings that also apply to finished runs; raises the errors of `check_settings`."""
+    """Check settings that also apply to finished runs; raise the same errors as `check_settings`."""
     check_keys(plain_config(cfg), {"": Again, "data": Splits, "evaluation": Evaluation})
 
 

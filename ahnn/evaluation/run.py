@@ -68,7 +68,7 @@ def add_tests(case: Case, findings: Findings, *, figures: bool) -> Worth:
         findings.figures |= open_loop_figures(case, findings.arrays)
     if (known := case.uncertainty) is not None:
         findings.numbers["uncertainty"] = {"inflation": known.inflation, **known.about}
-        if case.fitted is None:  # there are bands of states only, not of measurements
+        if case.fitted is None:  # bands exist for states only, not for measurements
             show("bands of the prediction")
             add_band(case, known, findings, figures=figures)
         if case.measured is not None:

@@ -39,7 +39,7 @@ class Prepared:
 
     Attributes:
         label: name in tables.
-        seed: seed of weights and batches.
+        seed: seed for the weights and the batches.
         folder: run folder.
         config: content of its config.yaml.
         data: source, splits, sensor, and batch sampling.

@@ -86,7 +86,7 @@ class FollowedPath:
         return PathRows(states, self._covariances(moved.unsqueeze(1)), self._novelty(states))
 
     def follow(self, lengths: Tensor, clock: Clock | None = None) -> PathRows:
-        """Take steps of lengths (N,) with a clock at their start, and return the rows after each."""
+        """Take steps of lengths (N,), starting at a clock reading, and return the rows after each step."""
         states = torch.stack([self.x, *self._steps(lengths, clock)], dim=1)
         novelty = self._novelty(states)
         self.x = states[:, -1]

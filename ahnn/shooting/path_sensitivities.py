@@ -58,7 +58,7 @@ class Steps(NamedTuple):
 def steps_between(times: Tensor, longest: float) -> Steps:
     """Build steps that end at all times (B, K + 1), none longer than `longest`.
 
-    An interval has equally many steps in every row, as needed by the longest one.
+    An interval has the same number of steps in every row: as many as the longest one needs.
     """
     gaps = times.diff(dim=1)
     counts = substeps_of_each(gaps.amax(0), longest)

@@ -100,7 +100,7 @@ class Uncertainty:
 
 
 def save_uncertainty(folder: Path, uncertainty: Uncertainty, state: dict[str, Tensor]) -> None:
-    """Write the covariance into a run folder, with the checksum of its weights."""
+    """Write the covariance into a run folder, with the checksum of the run's weights."""
     about = {"format": FORMAT, "weights": checksum(state, ""), "inflation": uncertainty.inflation}
     about["found"] = uncertainty.about
     parts = {name: getattr(uncertainty, name) for name in PARTS}

@@ -1,11 +1,11 @@
 """Interacting multiple models (Blom & Bar-Shalom 1988; Bar-Shalom, Li & Kirubarajan 2001, section 11.6.6).
 
 The motion switches between modes by a Markov chain. Each mode has a belief and a probability. Before a step
-the beliefs are mixed: the belief of mode j becomes the moments of all beliefs, weighted by the probabilities
-of transition to mode j. Each is then predicted and updated by a Gaussian filter with the process noise, and
-optionally the flow, of its mode; modes are weighted by the likelihood of the measurement. The published
-belief consists of the moments of the mixture, which also define innovation, NIS and gate; the log-likelihood
-refers to the mixture.
+the beliefs are mixed: the belief of mode j takes the mean and covariance of the mixture of all beliefs,
+weighted by the probabilities of a transition to mode j. Each is then predicted and updated by a Gaussian
+filter with the process noise, and optionally the flow, of its mode; modes are weighted by the likelihood of
+the measurement. The published belief consists of the moments of the mixture, which also define innovation,
+NIS and gate; the log-likelihood refers to the mixture.
 """
 
 from __future__ import annotations

@@ -81,7 +81,7 @@ def shifted_exponential(losses: Sequence[float], target_epoch: int) -> Forecast:
     amplitude = first / -math.expm1(-rate * (j - i))  # size of the exponential part at point i
     try:
         change = math.exp(-rate * (j - i)) * math.expm1(-rate * (target_epoch - j))
-    except OverflowError:  # a steep curve extrapolated to before its first point
+    except OverflowError:  # a steep curve extrapolated back beyond its first point
         return None
     return _finite(smooth[j] + amplitude * change)
 
