@@ -141,7 +141,9 @@ def _killed() -> TrainingError:
     message = (
         f"workers: expected workers that keep running; received one that was killed {STARTS} times in a row"
     )
-    return TrainingError(f"{message}. Check the memory of the machine, and repeat the command")
+    return TrainingError(
+        f"{message}. Check that the machine has enough free memory, then run the command again"
+    )
 
 
 def _end_with_parent() -> None:
