@@ -19,8 +19,11 @@ from ahnn.paths import conf_dir
 from ahnn.systems import System
 from ahnn.types import Flow
 
+drawn = cache(generate)
+"""Trajectories that cases of a system share."""
 
-def case_of(system: System, flow: Flow, perturbation: Tensor, folder: Path) -> Case:
+
+def case_of(system: System, flow: Flow, perturbation: Tensor, folder: Path, validation: int = 6) -> Case:
     """A flow that is judged on as many trajectories of a system as there are initial errors."""
     return Case(
         label="mine",
@@ -31,9 +34,9 @@ def case_of(system: System, flow: Flow, perturbation: Tensor, folder: Path) -> C
         energy=None,
         integrator=INTEGRATORS["rk4"],
         dt=system.dt,
-        test=generate(system, len(perturbation), seed=1),
-        validation=generate(system, 6, seed=2),
-        train=generate(system, 4, seed=2),
+        test=drawn(system, len(perturbation), seed=1),
+        validation=drawn(system, validation, seed=2),
+        train=drawn(system, 4, seed=2),
         perturbation=perturbation,
         folder=folder,
     )

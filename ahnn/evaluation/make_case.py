@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 from torch.nn.functional import pad
 
 from ahnn.data import SplitData
@@ -58,9 +59,7 @@ def make_case(
     measured = measured_test(data, estimate)
     fitted, test, outliers = None, data["test"], 0.0
     if measured is not None and isinstance(data.sensor, Recorded):
-        found, steps = fit_to(dynamics, measured, robust)
-        kept = cleaned(measured, found, steps, robust)
-        fitted, test, outliers = found.starts, as_test(kept), outlier_fraction(measured, kept)
+        fitted, test, outliers = recorded_test(dynamics, measured, robust)
     return Case(
         label=label,
         assumes=dynamics.assumes,
@@ -86,6 +85,15 @@ def make_case(
         remark=remark,
         caveat=caveat,
     )
+
+
+def recorded_test(
+    dynamics: Dynamics, measured: Segment, robust: RobustName
+) -> tuple[Tensor, Trajectories, float]:
+    """Return fitted initial states (B, D), test data without outliers, and the fraction of outliers."""
+    found, steps = fit_to(dynamics, measured, robust)
+    kept = cleaned(measured, found, steps, robust)
+    return found.starts, as_test(kept), outlier_fraction(measured, kept)
 
 
 def learned_from(data: SplitData, noise: NoiseEstimate | None) -> Segment:

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 import torch
+from evaluating import case_of
 from precise import LinearMeasurement
 from torch import Tensor
 
-from ahnn.data.generate import generate
 from ahnn.evaluation import Case
 from ahnn.evaluation.case import perturbations
-from ahnn.integrators import INTEGRATORS
 from ahnn.systems import System
 from ahnn.types import Flow
-
-drawn = cache(generate)
 
 
 class Linear(NamedTuple):
@@ -93,20 +89,6 @@ def make_case(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Case]:
     folder = tmp_path_factory.mktemp("cases")
 
     def make(system: System, flow: Flow) -> Case:
-        return Case(
-            label="mine",
-            assumes="nothing",
-            space=system.space,
-            truth=system,
-            flow=flow,
-            energy=None,
-            integrator=INTEGRATORS["rk4"],
-            dt=system.dt,
-            test=drawn(system, 6, seed=1),
-            validation=drawn(system, 4, seed=2),
-            train=drawn(system, 4, seed=2),
-            perturbation=perturbations(system, 6, seed=0),
-            folder=folder,
-        )
+        return case_of(system, flow, perturbations(system, 6, seed=0), folder, validation=4)
 
     return make
