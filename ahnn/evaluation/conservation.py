@@ -18,6 +18,13 @@ from ahnn.rollouts import clock_of, stepped
 
 PIECES = 8
 """Minimum number of trajectory segments whose trends are compared."""
+THIRDS = 3
+"""Successive parts of the trajectories that must all show a trend: friction acts all the time, whereas the
+energy error of a poor model changes its sign."""
+IN_PART = 2.0
+"""Standard errors beyond which a part shows the trend."""
+EMPTY = 0.05
+"""Fraction of the squared energy below which a part is too quiet to show a trend."""
 SURE = 6.0
 """Standard errors beyond which a trend is significant."""
 NOTABLE = 0.02
@@ -41,16 +48,18 @@ class Trend(NamedTuple):
         rate: relative rate of the energy above its minimum, per unit of time; negative for a loss.
         error: standard error of the rate.
         whole: relative change over a trajectory.
+        lasting: whether every part of the trajectories shows the trend.
     """
 
     rate: float
     error: float
     whole: float
+    lasting: bool
 
     @property
     def found(self) -> bool:
-        """Whether the data gain or lose energy significantly."""
-        return abs(self.rate) > SURE * self.error and abs(self.whole) > NOTABLE
+        """Whether the data gain or lose energy significantly, in every part of the trajectories."""
+        return self.lasting and abs(self.rate) > SURE * self.error and abs(self.whole) > NOTABLE
 
     def sentence(self, unit: str) -> str:
         """Return the finding in words; "" without a trend."""
@@ -103,21 +112,33 @@ def energy_trend(case: Case) -> Trend | None:
         return None
     states, times = case.test.states, case.test.times
     energy = torch.where(case.test.present, case.energy(states.nan_to_num()), torch.nan)
-    parts = -(-PIECES // len(states))
+    parts = max(THIRDS, -(-PIECES // len(states)))
     length = energy.shape[1] // parts
     if length < 3:
         return None
     cut = [x[:, : parts * length].reshape(-1, length) for x in (energy, times)]
     slopes, middles = slope(*cut)
     above = middles - energy[energy.isfinite()].min()
+    third = torch.arange(parts).mul(THIRDS).div(parts, rounding_mode="floor").repeat(len(states))
     known = slopes.isfinite() & above.isfinite()
-    slopes, above, weight = slopes[known], above[known], float(above[known].square().sum())
+    slopes, above, third = slopes[known], above[known], third[known]
+    weight = float(above.square().sum())
     if len(slopes) < PIECES or not weight > 0:
         return None
-    rate = float((slopes * above).sum()) / weight  # slopes relative to the energy
-    left = (slopes - rate * above).square().sum() / (len(slopes) - 1)
+    rate, error = relative_rate(slopes, above)
     span = float((times.nan_to_num(nan=-torch.inf).amax(1) - times[:, 0]).median())
-    return Trend(rate, (float(left) / weight) ** 0.5, rate * span)
+    in_thirds = [(slopes[third == k], above[third == k]) for k in range(THIRDS)]
+    shown = [relative_rate(*part) for part in in_thirds if float(part[1].square().sum()) > EMPTY * weight]
+    lasting = all(own * rate > 0 and abs(own) > IN_PART * own_error for own, own_error in shown)
+    return Trend(rate, error, rate * span, lasting)
+
+
+def relative_rate(slopes: Tensor, values: Tensor) -> tuple[float, float]:
+    """Return the rate r of the fit slopes = r values over segments, shapes (N,), and its standard error."""
+    weight = float(values.square().sum())
+    rate = float((slopes * values).sum()) / weight
+    left = float((slopes - rate * values).square().sum()) / max(len(slopes) - 1, 1)
+    return rate, (left / weight) ** 0.5
 
 
 def slope(values: Tensor, times: Tensor) -> tuple[Tensor, Tensor]:

@@ -13,7 +13,7 @@ from helpers import TINY
 from ahnn.dynamics.fields import HamiltonianDynamics
 from ahnn.evaluation import evaluate
 from ahnn.evaluation.baselines import linear_prediction, relative_error, worth
-from ahnn.evaluation.conservation import conserves, energy_trend, time_test
+from ahnn.evaluation.conservation import conserves, energy_trend, slope, time_test
 from ahnn.evaluation.friction_test import friction_test
 from ahnn.evaluation.open_loop import Integrated
 from ahnn.measurements import Instrument, Segment, reading
@@ -110,6 +110,21 @@ def test_data_without_friction_have_no_trend_whatever_the_error_of_the_model(tmp
     trend = energy_trend(case_of(tmp_path, driven(), dataclasses.replace(FREE, gravity=gravity)))
     assert trend is not None
     assert not trend.found
+    assert not trend.sentence("s")
+
+
+def test_an_error_of_the_model_common_to_all_starts_is_no_friction(tmp_path):
+    """All swings start at rest: the energy of a wrong model falls on all of them, then rises."""
+    q = torch.linspace(0.9, 1.1, 12, dtype=torch.float64)
+    x = torch.stack((q, torch.zeros_like(q)), -1)
+    path = rollout(Integrated(FREE, RK4), x, FREE.dt, 19)
+    times = FREE.dt * torch.arange(19, dtype=torch.float64).expand(12, -1)
+    wrong = dataclasses.replace(FREE, gravity=8.0)
+    over_all, _ = slope(wrong.energy(path), times)
+    assert over_all.mean() ** 2 > 100 * over_all.var() / len(path)
+    trend = energy_trend(case_of(tmp_path, Trajectories(path, times), wrong))
+    assert trend is not None
+    assert not trend.lasting
     assert not trend.sentence("s")
 
 
