@@ -45,7 +45,7 @@ class Force(nn.Module, ABC):
         """Set scalings, units and initial values from the training split."""
 
     def silence(self) -> None:
-        """Set a learned force to zero, from which it can grow; by default it is not changed."""
+        """Set a learned force to zero, from which training can increase it; by default, do nothing."""
 
     @abstractmethod
     def forward(self, at: Instant) -> Tensor:
