@@ -1,6 +1,6 @@
 """Learnable dynamics as plain modules: networks, input maps, energies, Hamiltonians and their flows.
 
-The modules do not depend on a trainer: dynamics can be compiled, exported and used in filters on their own.
+The modules do not depend on a trainer: they can be compiled, exported and used in filters without one.
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ The rows are the last L components of the field f, which depend on theta: all, o
 known.
 """
 IncrementJacobian = Callable[[Tensor, Tensor, TimeStep], tuple[Tensor, Tensor]]
-"""(theta (P,), x (B, D), dt) -> Jacobians of the increment: by theta, (B, D, P), and by x, (B, D, D)."""
+"""(theta (P,), x (B, D), dt) -> d(increment)/dtheta, (B, D, P), and d(increment)/dx, (B, D, D)."""
 
 
 def field_jacobian(dynamics: HasField, dtype: torch.dtype = torch.float32) -> FieldJacobian:

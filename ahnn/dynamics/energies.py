@@ -121,7 +121,7 @@ class NetworkEnergy(nn.Module):
 
     @property
     def has_rows(self) -> bool:
-        """Whether parameter derivatives are available in closed form, for inputs without parameters."""
+        """Whether parameter derivatives are available in closed form; the inputs must have no parameters."""
         return is_closed(self.network) and not list(self.inputs.parameters())
 
     def derivatives(self, q: Tensor) -> tuple[Tensor, Tensor]:

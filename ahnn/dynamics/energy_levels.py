@@ -1,4 +1,4 @@
-"""Units of a network divided among coordinates whose energies differ by orders of magnitude.
+"""Hidden units of a network, divided among coordinates whose energies differ by orders of magnitude.
 
 The energy of a coordinate is the rate of its position times the range of its momentum, or the reverse. A
 force on light coordinates is a small slope of a large energy, and a network unit with inputs of both kinds
@@ -44,7 +44,7 @@ def levels(energies: Tensor) -> Tensor:
 
 
 def divide_units(network: Network, inputs: Iterable[InputMap], statistics: Statistics) -> None:
-    """Divide the units of a single-output perceptron among the energy levels of coordinates, if several.
+    """Divide the hidden units of a single-output perceptron among energy levels, if there are several.
 
     Args:
         network: network with newly initialised weights, which are scaled in place.

@@ -96,7 +96,7 @@ def of_members(values: Tensor, count: int) -> Tensor:
 
 
 class Steered(NamedTuple):
-    """Flow with prescribed controls, which depends on time only.
+    """Flow with prescribed controls, which depends only on time.
 
     Attributes:
         flow: flow with m controls.
@@ -108,7 +108,7 @@ class Steered(NamedTuple):
 
     @property
     def clock(self) -> int:
-        """Number of clock coordinates: 1, time."""
+        """Number of clock coordinates: 1, for time."""
         return 1
 
     def at(self, time: float | Tensor) -> Flow:

@@ -77,7 +77,7 @@ class Forced(nn.Module):
 
     @property
     def forces_work(self) -> bool:
-        """Whether some force has no potential, so that energy is not conserved."""
+        """Whether any force has no potential, so that energy is not conserved."""
         q = torch.zeros(1, self.dof, dtype=torch.float64)
         at = Instant(q[:, :0], q[:, :0], q, q)
         return any(force.potential(at) is None for force in self.parts)

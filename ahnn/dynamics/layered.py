@@ -54,7 +54,7 @@ class Network(nn.Module, ABC):
     output: nn.Linear
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Network:
-        """Return a copy that keeps parameter attributes, such as units (`energy_levels`), unlike torch."""
+        """Return a copy with attributes of parameters, such as units (`energy_levels`), which torch omits."""
         made = memo[id(self)] = type(self).__new__(type(self))
         vars(made).update(copy.deepcopy(vars(self), memo))
         for own, other in zip(self.parameters(), made.parameters(), strict=True):
@@ -111,7 +111,7 @@ class Network(nn.Module, ABC):
 
 @torch.no_grad()
 def silence(module: nn.Module) -> None:
-    """Set the outputs of all networks in a module to zero, by their last layers, which then learn first."""
+    """Set the last layers, and so the outputs, of all networks in a module to zero; they then learn first."""
     for network in module.modules():
         if isinstance(network, Network):
             for parameter in network.output.parameters():

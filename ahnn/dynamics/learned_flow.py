@@ -1,7 +1,7 @@
 """Learned Hamiltonian flows in C, for the few states of a single filter.
 
-For a small network and 13 sigma points, torch operations have more overhead than arithmetic, even when they
-are recorded.
+For a small network and 13 sigma points, torch operations take more time for overhead than for arithmetic,
+even when they are recorded.
 """
 
 from __future__ import annotations

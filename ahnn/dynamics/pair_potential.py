@@ -103,7 +103,7 @@ class PairPotential(nn.Module):
         return (self.pulls(q) @ slope.unsqueeze(-1)).squeeze(-1)
 
     def pulls(self, q: Tensor) -> Tensor:
-        """Return the factor on dN/dlog r - k N of each pair in dV/dq, (..., n, P), at q, (..., n)."""
+        """Return the factors in dV/dq of dN/dlog r - k N for each pair, (..., n, P), at q, (..., n)."""
         between, r = self.distances(q)
         first, second = self.pairs(q)
         count = len(self.masses)

@@ -1,6 +1,6 @@
 """Recorded flows: traced sequences of operations, equal up to rounding, without Python overhead.
 
-For a small network and the 13 sigma points of one state, Python costs more time than arithmetic; a replayed
+For a small network and the 13 sigma points of one state, Python takes more time than arithmetic; a replayed
 sequence takes a quarter of the time. Only flows with data-independent operations are recorded: explicit
 integrators and maps, but not iterations to convergence.
 """

@@ -37,7 +37,7 @@ class SymplecticLayer(nn.Module):
 
 
 class Shear(SymplecticLayer):
-    """Shear: the gradient of a network of positions added to the momenta, or vice versa.
+    """Shear that adds the gradient of a network of the positions to the momenta, or vice versa.
 
     Args:
         dof: degrees of freedom n.

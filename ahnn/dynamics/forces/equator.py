@@ -18,7 +18,7 @@ class EllipticEquator(Force):
     """Sectorial gravity of degree 2 (Montenbruck & Gill, Satellite Orbits, 3.2), per unit mass.
 
     V = -3 mu R^2 / r^5 (C (x^2 - y^2) + 2 S x y) in axes that turn with the planet about its pole, the third
-    axis: C and S are the unnormalised harmonics C22 and S22. Orbits with a period of half a day or a day are
+    axis. C and S are the unnormalised harmonics C22 and S22. Orbits with a period of half a day or a day are
     in resonance with this force.
 
     Args:

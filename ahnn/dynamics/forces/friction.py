@@ -27,8 +27,8 @@ class Friction(Force):
     Args:
         dof: degrees of freedom n.
         controls: not used.
-        coefficient: friction coefficient in units of force over velocity, common or per coordinate; None
-            learns a positive one per coordinate.
+        coefficient: friction coefficient in units of force over velocity, common or per coordinate; None to
+            learn a positive one per coordinate.
         of: `constant`; `matrix`: R = L L^T with a learned lower triangular L, which couples coordinates; or
             `positions`: R(q) = L(q) L(q)^T with a network for L (van der Schaft & Jeltsema 2014,
             Port-Hamiltonian Systems Theory, chapter 2).

@@ -132,7 +132,7 @@ def _varied_pull(line: Tensor, by: Tensor) -> Tensor:
 
 
 def opened(names: list[str], epoch: float, days: NDArray[np.float64]) -> Any:
-    """Return DE421.
+    """Return the ephemeris DE421, after checks of the bodies and dates.
 
     Args:
         names: names of bodies, the centre first.
