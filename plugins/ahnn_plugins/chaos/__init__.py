@@ -63,7 +63,7 @@ class Chaos:
             raise UserError(message)
 
     def __call__(self, case: Case) -> Findings:
-        """Return the valid times and Lyapunov exponents of trajectories, their medians, and the overlap."""
+        """Return valid times with quartiles, Lyapunov exponents with their mean, and the overlap."""
         truth = case.test.states
         if case.fitted is not None or isinstance(case.dt, Tensor) or not bool(case.test.present.all()):
             return Findings(numbers={}, notes=["chaos: needs full states at equal steps, without gaps"])

@@ -114,7 +114,7 @@ class Horizon:
         return kepler(x, torch.as_tensor(dt).to(x).expand(x.shape[:-1]), mu)
 
     def __call__(self, case: Case) -> Findings:
-        """Return rows of the other flows, errors per period, and the periods until the model is less accurate."""
+        """Return rows of the other flows, errors per period, and the periods in which the model is better."""
         measured, ahead = self._measured(case), []
         for name, flow in self.flows(case).items():
             starts = {"true": case.test.states[:, 0], "fitted": fitted_start(flow, measured, case)}

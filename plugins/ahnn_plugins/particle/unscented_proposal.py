@@ -7,7 +7,7 @@ kernel, which fails without process noise). Its weight,
 
     w_i p(y | x) N(x; c_i, C Cᵀ) / q_i(x),
 
-makes the draws exact for the posterior of the mixture, however inaccurate the linearisation. For linear
+makes the draws exact for the posterior of the mixture, however inaccurate the linearisation is. For linear
 measurements it is w_i N(y; H c_i, H C Cᵀ Hᵀ + R): a sensor more precise than the kernel width leaves as many
 effective particles as one of that width.
 """

@@ -44,7 +44,7 @@ class WeighingRow(NamedTuple):
         return cls(y, sensor, tria(noise))
 
     def log_density(self, images: Tensor) -> Tensor:
-        """Return log densities (B, N) of y for images (B, N, M) of the particles; -inf for non-finite ones."""
+        """Return log densities (B, N) of y for images (B, N, M) of particles; -inf for non-finite images."""
         y, present = self.y.unsqueeze(1), ~torch.isnan(self.y)
         finite = images.isfinite().all(-1)
         # Missing components are filled in, since a residual may mix components.

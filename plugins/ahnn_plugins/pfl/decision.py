@@ -19,7 +19,8 @@ class Settings(NamedTuple):
         use: `first` fits the first `fit_epochs` losses (paper), `all` every loss so far (the author's code).
         fit_epochs: minimum number of losses for a decision.
         target_epoch: epoch of the forecast.
-        top_k: number of best complete models that set the threshold; with fewer, forecasts stop no run.
+        top_k: number of best complete models that set the threshold; with fewer models, forecasts stop no
+            run.
     """
 
     fit: FitName = "log_linear"
