@@ -163,7 +163,7 @@ class Quadratic(nn.Module):
 
     def __init__(self, mass: float | Sequence[float]) -> None:
         super().__init__()
-        self.factor = as_factor(mass)  # not a buffer: keeps full precision whatever the dtype of the weights
+        self.factor = as_factor(mass)  # not a buffer, to keep full precision for weights of any dtype
 
     def mass(self, like: Tensor) -> float | Tensor:
         """Return m as a number, or as a tensor (n,) with the dtype of `like`."""
@@ -214,7 +214,7 @@ class CentralBody(nn.Module):
 
     @property
     def mu(self) -> Tensor | float:
-        """Gravitational parameter; a known one keeps full precision whatever the dtype of the weights."""
+        """Gravitational parameter; a known one keeps full precision for weights of any dtype."""
         return self.log_mu.exp() if self.known_mu is None else self.known_mu
 
     def constants(self) -> dict[str, Tensor]:

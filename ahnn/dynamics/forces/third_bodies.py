@@ -77,7 +77,7 @@ class ThirdBodies(Force):
         self.assumes = f"known {', '.join(bodies)}"
         self.begin, self.spacing, self.own = span[0] - MARGIN * spacing, spacing, own
         self.nodes = int((span[1] - span[0]) / spacing) + 2 * MARGIN + 2
-        # Not buffers: the nodes remain float64, whatever the precision of the weights.
+        # Not buffers, so that the nodes remain float64 for weights of any dtype.
         times = np.asarray((self.begin + spacing * np.arange(self.nodes)) / day, dtype=np.float64)
         ephemeris = opened([center, *bodies], epoch, times)
         unit = (ephemeris.AU / length) ** 3 / day**2

@@ -123,7 +123,7 @@ def clear_earlier(output: Path) -> None:
 
 
 def earlier(output: Path) -> list[Path]:
-    """Return the tables and figures in a report folder, whatever their origin."""
+    """Return the tables and figures in a report folder, of any origin."""
     tables = output / "tables"
     found = [p for p in tables.iterdir() if p.suffix in (".tex", ".md")] if tables.is_dir() else []
     return [*pictures_in(output / "figures"), *sorted(found)]
