@@ -1,6 +1,6 @@
 """Learnable dynamics as plain modules: networks, input maps, energies, Hamiltonians and their flows.
 
-The modules are independent of any trainer: dynamics can be compiled, exported and filtered on their own.
+The modules do not depend on a trainer: they can be compiled, exported and used in filters without one.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ KINDS: Table[type[Dynamics]] = Table(
         "generalised_hnn": GeneralisedHNN,
     },
 )
-"""Names under which dynamics are stored, with their classes."""
+"""Classes of dynamics, by the name under which they are stored."""
 
 
 def make_dynamics(kind: str, **options: Any) -> Dynamics:

@@ -70,7 +70,7 @@ def _tanh_curvature(a: Tensor, slope: Tensor) -> Tensor:
 
 
 def _gelu(z: Tensor) -> tuple[Tensor, Tensor]:
-    # x Phi(x) with the normal distribution Phi (Hendrycks & Gimpel 2016); its slope is Phi + x phi.
+    # x Phi(x) with the normal CDF Phi (Hendrycks & Gimpel 2016); its slope is Phi + x phi.
     cumulative = torch.special.ndtr(z)
     return z * cumulative, cumulative + z * torch.exp(-0.5 * z * z) * _DENSITY
 

@@ -30,7 +30,7 @@ class Dynamics(nn.Module, ABC):
         assumes: prior knowledge about the dynamics, stated with every score.
         clock: number k of clock coordinates of the states: 0, 1 for time, 1 + m for time and m controls.
         begins_known: whether the learned part is zero before training, so that only known physics acts.
-        anchored: whether it fixes the origin of the positions, so that a bias of all readings is detectable.
+        anchored: whether the dynamics fix the origin of the positions, so that a common bias is detectable.
     """
 
     spec: dict[str, Any]
@@ -65,7 +65,7 @@ class Dynamics(nn.Module, ABC):
         """Propagate states x, shape (B, D), over dt, a number or (B,); return (B, D).
 
         Raises:
-            UserError: other than a tensor of states along the last axis, or another step than that of a map.
+            UserError: x is not a tensor of states along its last axis, or dt is not the fixed step of a map.
         """
         self.require(dt)
         dof = getattr(self, "spec", {}).get("dof")
@@ -81,7 +81,7 @@ class Dynamics(nn.Module, ABC):
     def rollout(self, start: Tensor, steps: int, dt: TimeStep) -> Tensor:
         """Return trajectories, shape (B, steps + 1, D), which begin with the states `start`, (B, D).
 
-        Gradients flow to all that require them; under `torch.no_grad` memory is saved.
+        Gradients flow to all tensors that require them; `torch.no_grad` saves memory.
 
         Args:
             start: (B, D) states.
@@ -89,7 +89,7 @@ class Dynamics(nn.Module, ABC):
             dt: step length, or (B, steps) step lengths.
 
         Raises:
-            UserError: another shape.
+            UserError: `start` or `dt` has a wrong shape, or `steps` is not an integer.
         """
         shapes = ((), (len(start), steps)) if isinstance(start, Tensor) and start.ndim == 2 else ()
         if not isinstance(steps, int) or getattr(dt, "shape", ()) not in shapes:
@@ -112,7 +112,7 @@ class Dynamics(nn.Module, ABC):
 
 
 def require_step(step: float, dt: TimeStep) -> None:
-    """Raise UserError for steps other than the training step of a map, which is not continuous in time."""
+    """Raise UserError for steps other than the training step: a map is not continuous in time."""
     off = float((dt - step).abs().max()) if isinstance(dt, Tensor) else abs(dt - step)
     if not off <= 1e-6 * step:
         received = "steps that differ" if isinstance(dt, Tensor) else f"{dt:.6g}"

@@ -25,7 +25,7 @@ from ahnn.types import TimeStep
 
 
 class _Forward(nn.Module):
-    """Wrapper that makes a function of a module its forward pass, for `functional_call`."""
+    """Wrapper whose forward pass is a function of a module, for `functional_call`."""
 
     def __init__(self, module: nn.Module, function: Callable[..., Tensor]) -> None:
         super().__init__()
@@ -37,7 +37,7 @@ class _Forward(nn.Module):
 
 
 SWAPPED = threading.RLock()
-"""Lock held while a module has substituted parameters, which parallel parts must not see."""
+"""Lock held while a module has substituted parameters, which other threads must not see."""
 
 
 def parametrised(
@@ -64,11 +64,11 @@ def parametrised(
 FieldJacobian = Callable[..., Tensor]
 """(theta (P,), x (..., D), factors (..., D) or none) -> factors df/dtheta, shape (..., L, P).
 
-The rows are the last L components of the field f, those that depend on theta: all, or dp/dt where dq/dt is
+The rows are the last L components of the field f, which depend on theta: all, or only dp/dt if dq/dt is
 known.
 """
 IncrementJacobian = Callable[[Tensor, Tensor, TimeStep], tuple[Tensor, Tensor]]
-"""(theta (P,), x (B, D), dt) -> derivatives of the increment in theta, (B, D, P), and x, (B, D, D)."""
+"""(theta (P,), x (B, D), dt) -> d(increment)/dtheta, (B, D, P), and d(increment)/dx, (B, D, D)."""
 
 
 def field_jacobian(dynamics: HasField, dtype: torch.dtype = torch.float32) -> FieldJacobian:
@@ -93,9 +93,9 @@ def field_jacobian(dynamics: HasField, dtype: torch.dtype = torch.float32) -> Fi
 
 
 def forced_field_jacobian(field: Forced, dtype: torch.dtype) -> FieldJacobian:
-    """Return the Jacobian of p^2 / 2m + V(q) in closed form, and of forces by reverse mode.
+    """Return the Jacobian of a field with forces: p^2 / 2m + V(q) in closed form, forces by reverse mode.
 
-    Velocities are known, so that forces do not depend on parameters of V.
+    Velocities are known, so the forces do not depend on the parameters of V.
     """
     inner, clock = cast(SeparableHamiltonian, field.hamiltonian), field.clock
     count = sum(p.numel() for p in inner.parameters())
@@ -113,7 +113,7 @@ def forced_field_jacobian(field: Forced, dtype: torch.dtype) -> FieldJacobian:
         rows = separable_rows(inner, theta[:count], reduced(flat, clock), plain)
         if len(theta) > count:
             rows = torch.cat((rows, of_forces(theta[count:], flat, plain.chunk(2, dim=-1)[1])), dim=-1)
-        rows = nn.functional.pad(rows, (0, 0, 0, clock)) if clock else rows  # parameter-free clock
+        rows = nn.functional.pad(rows, (0, 0, 0, clock)) if clock else rows  # the clock has no parameters
         return rows.unflatten(0, z.shape[:-1])
 
     return jacobian
@@ -177,6 +177,6 @@ def increment_jacobian(
 
 
 def knows_velocities(field: nn.Module) -> bool:
-    """Return whether dq/dt is independent of all parameters: T(p) is known."""
+    """Return whether T(p) is known, so that dq/dt is independent of all parameters."""
     inner = field.hamiltonian if isinstance(field, Forced) else field
     return isinstance(inner, SeparableHamiltonian) and not list(inner.kinetic.parameters())

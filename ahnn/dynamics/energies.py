@@ -44,7 +44,7 @@ class Energy(Protocol):
         ...
 
     def write_rows(self, theta: Tensor, q: Tensor, factors: Tensor, out: Tensor) -> None:
-        """Write factors (B, n) times d(dE/dq)/dtheta to `out`, (B, n, P), theta (P,) its parameters."""
+        """Write factors (B, n) times d(dE/dq)/dtheta to `out`, (B, n, P), for parameters theta, (P,)."""
         ...
 
     def seen(self, q: Tensor) -> Tensor:
@@ -121,7 +121,7 @@ class NetworkEnergy(nn.Module):
 
     @property
     def has_rows(self) -> bool:
-        """Whether parameter derivatives are available in closed form: the inputs are not learned."""
+        """Whether parameter derivatives are available in closed form; the inputs must have no parameters."""
         return is_closed(self.network) and not list(self.inputs.parameters())
 
     def derivatives(self, q: Tensor) -> tuple[Tensor, Tensor]:
@@ -139,7 +139,7 @@ class NetworkEnergy(nn.Module):
         return self.unit * gradient, self.unit * hessian
 
     def write_rows(self, theta: Tensor, q: Tensor, factors: Tensor, out: Tensor) -> None:
-        """Write factors (B, n) times d(dE/dq)/dtheta to `out`, (B, n, P), theta (P,) its parameters."""
+        """Write factors (B, n) times d(dE/dq)/dtheta to `out`, (B, n, P), for parameters theta, (P,)."""
         z, pullback = self.inputs.linearised(q)
         # dE/dq is linear in the network gradient: row i of each sample is a cotangent of that gradient.
         linear = slopes(z, pullback).mT
@@ -163,10 +163,10 @@ class Quadratic(nn.Module):
 
     def __init__(self, mass: float | Sequence[float]) -> None:
         super().__init__()
-        self.factor = as_factor(mass)  # not a buffer: keeps full precision whatever the dtype of the weights
+        self.factor = as_factor(mass)  # not a buffer, to keep full precision for weights of any dtype
 
     def mass(self, like: Tensor) -> float | Tensor:
-        """Return m as a number, or as (n,) with the dtype of a tensor."""
+        """Return m as a number, or as a tensor (n,) with the dtype of `like`."""
         return self.factor.to(like) if isinstance(self.factor, Tensor) else self.factor
 
     def fit(self, statistics: Statistics) -> None:
@@ -198,7 +198,7 @@ class CentralBody(nn.Module):
     """Potential -m mu / r of a body at the origin, plus a learned remainder.
 
     Args:
-        remainder: learned perturbation of the point mass; its unit is the residual force of the data.
+        remainder: learned perturbation of the point mass; the residual force of the data sets its unit.
         mass: mass m of the moving body.
         mu: gravitational parameter. If None, it is learned, starting from the median of estimates from
             individual force samples.
@@ -214,7 +214,7 @@ class CentralBody(nn.Module):
 
     @property
     def mu(self) -> Tensor | float:
-        """Gravitational parameter; a known one keeps full precision whatever the dtype of the weights."""
+        """Gravitational parameter; a known one keeps full precision for weights of any dtype."""
         return self.log_mu.exp() if self.known_mu is None else self.known_mu
 
     def constants(self) -> dict[str, Tensor]:
@@ -269,7 +269,7 @@ class CentralBody(nn.Module):
         return gradient + of_point[0], hessian + of_point[1]
 
     def write_rows(self, theta: Tensor, q: Tensor, factors: Tensor, out: Tensor) -> None:
-        """Write factors (B, n) times d(dE/dq)/dtheta to `out`, (B, n, P), theta (P,) its parameters."""
+        """Write factors (B, n) times d(dE/dq)/dtheta to `out`, (B, n, P), for parameters theta, (P,)."""
         if self.known_mu is None:
             attraction = self.mass * theta[0].exp() * q / q.norm(dim=-1, keepdim=True) ** 3
             out[..., 0] = factors * attraction

@@ -1,11 +1,11 @@
-"""Units of a network divided among coordinates whose energies differ by orders of magnitude.
+"""Hidden units of a network, divided among coordinates whose energies differ by orders of magnitude.
 
 The energy of a coordinate is the rate of its position times the range of its momentum, or the reverse. A
 force on light coordinates is a small slope of a large energy, and a network unit with inputs of both kinds
-bends it as much as heavy coordinates need. For H = E(heavy) + e F(heavy, light) with small e, units for F
-have all coordinates as inputs and weight e; light coordinates affect units for E by at most e. Initial
-weights follow this division, and `unit` of a parameter, in which second-order steps are measured, preserves
-it.
+bends this slope as much as heavy coordinates require. For H = E(heavy) + e F(heavy, light) with small e,
+units for F take all coordinates as inputs and have output weights of order e; light coordinates enter units
+for E with weights of order e. Initial weights follow this division. The attribute `unit` of a parameter, the
+scale of second-order steps, preserves it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ahnn.dynamics.scaling import UNEVEN
 from ahnn.statistics import Statistics
 
 ROUNDING = 1e-12
-"""Ratio below which a motion is attributed to rounding and needs no unit."""
+"""Relative energy below which a motion is attributed to rounding and has no level of its own."""
 
 
 def coordinate_energies(statistics: Statistics) -> Tensor:
@@ -33,7 +33,7 @@ def coordinate_energies(statistics: Statistics) -> Tensor:
 
 
 def levels(energies: Tensor) -> Tensor:
-    """Return for each energy, shape (n,), the largest of similar size, in units of the overall largest."""
+    """Return for each energy, shape (n,), the largest energy of similar size, relative to the maximum."""
     relative = energies / energies.max()
     found, top = torch.ones_like(relative), 1.0
     for k in relative.argsort(descending=True).tolist():
@@ -44,10 +44,10 @@ def levels(energies: Tensor) -> Tensor:
 
 
 def divide_units(network: Network, inputs: Iterable[InputMap], statistics: Statistics) -> None:
-    """Divide the units of a perceptron of one output among the levels of coordinates, if there are several.
+    """Divide the hidden units of a single-output perceptron among energy levels, if there are several.
 
     Args:
-        network: network with fresh weights, which are scaled.
+        network: network with newly initialised weights, which are scaled in place.
         inputs: maps whose concatenated outputs are the inputs of the network.
         statistics: statistics of the training split.
     """
@@ -64,7 +64,7 @@ def divide_units(network: Network, inputs: Iterable[InputMap], statistics: Stati
 
 
 def energies_of(inputs: InputMap, energies: Tensor) -> Tensor | None:
-    """Return the energy of the coordinate of each output of an input map; None if outputs mix coordinates."""
+    """Return the coordinate energy for each output of an input map; None if outputs mix coordinates."""
     if isinstance(inputs, Angles):
         turning = energies[inputs.turning]
         return torch.cat((turning, turning, energies[inputs.straight]))
@@ -73,7 +73,7 @@ def energies_of(inputs: InputMap, energies: Tensor) -> Tensor | None:
 
 @torch.no_grad()
 def scale(parameter: Tensor, unit: Tensor) -> None:
-    """Set a unit for each element of a parameter, and scale its value to the unit."""
+    """Set a unit for each element of a parameter, and rescale the values to it."""
     unit = unit.to(parameter)
     parameter.mul_(unit / getattr(parameter, "unit", 1.0))
     vars(parameter)["unit"] = unit

@@ -111,12 +111,12 @@ class HamiltonianDynamics(IntegratedField):
 
     Args:
         dof: degrees of freedom n.
-        inertia: factor m of T = p^2 / 2m, used by `mechanical` and `central_body`; a number, or one per
-            coordinate for `mechanical`.
+        inertia: factor m of T = p^2 / 2m, for `mechanical`, `pairs` and `central_body`; a number, or one per
+            coordinate except for `central_body`.
         hamiltonian: generic, separable, mechanical, central_body, mass_matrix or pairs.
-        mu: gravitational parameter of `central_body`; None: learned.
+        mu: gravitational parameter of `central_body`; None to learn it.
         falloff: k of a learned V(q) = (R / r)^k N(q); 0 for no prescribed decay with distance.
-        dimensions: number of coordinates of a body, for `pairs`.
+        dimensions: number of coordinates per body, for `pairs`.
         inputs: cartesian, isotropic or radial positions, or angles.
         scaling: minmax, block or none.
         network: width, depth, activation.
@@ -162,14 +162,14 @@ class HamiltonianDynamics(IntegratedField):
 
     @torch.no_grad()
     def silence(self) -> None:
-        """Set the learned potential and learned forces to zero, so that known physics is left."""
+        """Set the learned potential and learned forces to zero, so that only known physics remains."""
         field: nn.Module = self.field
         silence(field.hamiltonian if isinstance(field, Forced) else field)
         for force in field.parts if isinstance(field, Forced) else ():
             force.silence()
 
     def fused_layers(self, x: Tensor) -> Layers | None:
-        """Return the layers of the field where steps from states like x are fused operations, else None."""
+        """Return the layers of the field if steps from states like x are fused operations, else None."""
         field, method = self.field, self.integrator
         if not (isinstance(field, GenericHamiltonian) and isinstance(method, ExplicitRungeKutta)):
             return None

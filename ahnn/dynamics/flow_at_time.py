@@ -1,4 +1,4 @@
-"""Time-dependent flows bound to a start time, as maps of plain states for estimators."""
+"""Time-dependent flows bound to a start time, which estimators apply to plain states."""
 
 from __future__ import annotations
 
@@ -22,12 +22,11 @@ NO_TIME = "flow: expected the time at which a step begins, on which forces depen
 def at(flow: Flow, time: float | Tensor) -> Flow:
     """Bind a flow to a start time; an autonomous flow is returned unchanged.
 
+    A flow with controls must be `steered`: otherwise the bound flow raises UserError when it is called.
+
     Args:
         flow: any flow.
         time: start time, or (B,) start times of B members.
-
-    Raises:
-        UserError: a flow with controls, whose values are unknown.
     """
     if not clock_of(flow):
         return flow
@@ -97,7 +96,7 @@ def of_members(values: Tensor, count: int) -> Tensor:
 
 
 class Steered(NamedTuple):
-    """Flow with prescribed controls, which depends on time only.
+    """Flow with prescribed controls, which depends only on time.
 
     Attributes:
         flow: flow with m controls.
@@ -109,7 +108,7 @@ class Steered(NamedTuple):
 
     @property
     def clock(self) -> int:
-        """Number of clock coordinates: 1, time."""
+        """Number of clock coordinates: 1, for time."""
         return 1
 
     def at(self, time: float | Tensor) -> Flow:
@@ -129,15 +128,15 @@ def steered(flow: Flow, times: Numbers, controls: Numbers, *, linear: bool = Fal
     """Bind a flow to prescribed controls, for filters, smoothers and least squares.
 
     Args:
-        flow: learned or known dynamics with m controls, or the result of `wrapped` for one.
-        times: (T,) increasing.
+        flow: learned or known dynamics with m controls, or the result of `wrapped` for such dynamics.
+        times: (T,) increasing times.
         controls: (T, m), or (B, T, m) for B members; each held until the next sample.
         linear: whether controls are interpolated linearly instead.
 
     A step must not extend beyond the next sample of a held control.
 
     Raises:
-        UserError: a flow without controls, or controls of a wrong shape or not finite.
+        UserError: a flow without controls, or times or controls that are invalid.
     """
     if isinstance(flow, Wrapped):
         return flow._replace(flow=steered(flow.flow, times, controls, linear=linear))
@@ -156,7 +155,7 @@ def steered(flow: Flow, times: Numbers, controls: Numbers, *, linear: bool = Fal
 
 
 class Wrapped(NamedTuple):
-    """Wrapper of a time-dependent flow.
+    """Time-dependent flow with a wrapper.
 
     Attributes:
         flow: time-dependent flow.

@@ -77,13 +77,13 @@ class Forced(nn.Module):
 
     @property
     def forces_work(self) -> bool:
-        """Whether some force has no potential, so that energy is not conserved."""
+        """Whether any force has no potential, so that energy is not conserved."""
         q = torch.zeros(1, self.dof, dtype=torch.float64)
         at = Instant(q[:, :0], q[:, :0], q, q)
         return any(force.potential(at) is None for force in self.parts)
 
     def fit(self, statistics: Statistics) -> None:
-        """Set all constants from the training split; known forces are subtracted for the learned parts."""
+        """Set all constants from the training split, from which known forces are subtracted."""
         left = statistics
         if self.known:
             at = Instant(
@@ -110,7 +110,7 @@ class Forced(nn.Module):
         """Return dz/dt, shape (..., 2 (n + k)), at extended states z.
 
         Raises:
-            UserError: states without a clock, for dynamics that depend on it.
+            UserError: states without the clock coordinates on which forces depend.
         """
         if z.shape[-1] != 2 * (self.dof + self.clock):
             needed = "time and controls" if self.clock > 1 else "time"

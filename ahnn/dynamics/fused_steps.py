@@ -21,7 +21,7 @@ from ahnn.integrators.tableaus import EULER
 
 
 def applies(activation: Activation, x: Tensor) -> bool:
-    """Return whether all tensors are plain and the activation has kernels.
+    """Return whether x is a plain tensor and the activation has fused kernels.
 
     Function transforms (torch.func), graph capture, autocast and meta tensors need elementary operations.
     """
@@ -35,7 +35,7 @@ def applies(activation: Activation, x: Tensor) -> bool:
 
 
 def network_gradient(x: Tensor, layers: Layers, activation: Activation) -> Tensor:
-    """Return f, shape (..., F), at the inputs x, shape (..., F)."""
+    """Return the field f of `layers`, shape (..., F), at the inputs x, shape (..., F)."""
     flat = x.reshape(-1, x.shape[-1])
     return step(flat, layers, Scheme(EULER, 1.0, activation)).view_as(x)
 
@@ -66,7 +66,7 @@ def step(x: Tensor, layers: Layers, scheme: Scheme) -> Tensor:
 
 
 def plain_step(x: Tensor, layers: Layers, scheme: Scheme) -> Tensor:
-    """Return the same increment by elementary operations, differentiable to any order."""
+    """Return the increment of `step` by elementary operations, differentiable to any order."""
     slopes: list[Tensor] = []
     for row in ((), *scheme.tableau.a):
         slopes.append(plain_gradient(moved(x, row, slopes, scheme.h), layers, scheme.activation))
@@ -74,7 +74,7 @@ def plain_step(x: Tensor, layers: Layers, scheme: Scheme) -> Tensor:
 
 
 def _by_columns(x: Tensor) -> Tensor:
-    """Return x, (B, D), in the memory order of fields."""
+    """Return x, (B, D), in column-major order, like the results of fields."""
     return x.T.contiguous().T
 
 

@@ -1,14 +1,14 @@
 """Gaussian process in a finite Fourier basis, as a replacement for a network.
 
-A process N ~ GP(0, k) with k(z, z') = s^2 exp(-sum_f (z_f - z'_f)^2 / 2 l_f^2) is approximated with many
+A process N ~ GP(0, k) with k(z, z') = s^2 exp(-sum_f (z_f - z'_f)^2 / 2 l_f^2) is approximated with K
 fixed frequencies xi_k drawn from N(0, I) (Rahimi & Recht 2007, NeurIPS):
 
     N(z) = sum_k a_k cos(xi_k . z / l) + b_k sin(xi_k . z / l),    a_k, b_k ~ N(0, s^2 / K)
 
 A Hamiltonian, and its field J grad H in closed form, are then linear in the weights a and b (Tanaka, Iwata &
-Ueda 2022, NeurIPS; Ross & Heinonen 2023, TMLR). The cosine is a sine with a phase: this is a network whose
-hidden layer consists of waves. The prior on the weights is the prior of `ahnn.training.evidence` with
-precision K / s^2, and maximum evidence determines the amplitude s.
+Ueda 2022, NeurIPS; Ross & Heinonen 2023, TMLR). A cosine is a sine with a phase shift, so N is a network
+with one hidden layer of sines. The prior on the weights is that of `ahnn.training.evidence` with precision
+K / s^2, and maximum evidence determines the amplitude s.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from ahnn.dynamics.layered import Network
 from ahnn.memory import require_memory
 
 BEGIN = 2.0
-"""Initial length scales: the range of scaled states. Data shorten lengths that are too long; with lengths
-that are too short, weights without a prior, as before the final steps, fit the noise.
+"""Initial length scales: the range of scaled states. Training shortens lengths that are too long. If they are
+too short, the weights fit the noise, since they have no prior before the final steps.
 """
 
 
@@ -44,8 +44,8 @@ class Waves(nn.Module):
 
     Attributes:
         frequencies: xi, (K, F).
-        free: (K, 1), 1 for frequencies scaled by the learned lengths; 0 for the copies added by
-            `ahnn.dynamics.linearised`.
+        free: (K, 1), 1 for frequencies scaled by the learned lengths; 0 for fixed ones, such as the copies
+            added by `ahnn.dynamics.linearised`.
         phases: pi/2 and 0, alternating, (2K,).
     """
 
@@ -92,7 +92,7 @@ class Waves(nn.Module):
 @final
 @checked
 class GaussianProcess(Network):
-    """Independent zero-mean Gaussian processes, one per output, with shared lengths of the inputs.
+    """Independent zero-mean Gaussian processes, one per output, with shared length scales.
 
     The parameters are the logarithms of the lengths, (F,), and the weights, (outputs, 2K).
 

@@ -1,4 +1,4 @@
-"""Generalised Hamiltonian neural networks (Horn et al. 2025, J. Comput. Phys. 521), from the paper."""
+"""Generalised Hamiltonian neural networks, implemented from Horn et al. (2025, J. Comput. Phys. 521)."""
 
 from __future__ import annotations
 

@@ -4,8 +4,8 @@ For a network N with hidden layers a_l = sigma(z_l), z_l = W_l a_{l-1} + b_l, th
 pass delta_l = u_l sigma'(z_l), u_{l-1} = delta_l W_l, which starts from u_L, the output weights, and ends
 with a matrix E: f = delta_1 E. E = W_1 gives grad N; other matrices include a scaling and rotation.
 
-The backward pass follows from v . grad N being the directional derivative of N along v: a forward pass of
-tangents, then the usual backward pass, coupled by the curvature sigma''
+Since v . grad N is the directional derivative of N along v, the backward pass consists of a forward pass of
+tangents and the usual backward pass, coupled by the curvature sigma''
 (Pearlmutter 1994, Neural Comp. 6, 147).
 """
 
@@ -21,7 +21,7 @@ from ahnn.dynamics.activations import Activation, Kernels
 
 
 class Layers(NamedTuple):
-    """Parameters of a scalar network for its input gradient, or their gradients; H units, F inputs.
+    """Parameters of a scalar network with H units and F inputs, or gradients with respect to them.
 
     Attributes:
         weights: weights of the hidden layers, (H, F), then (H, H).
@@ -41,7 +41,7 @@ class Layers(NamedTuple):
         return (*self.weights, *self.biases, self.last, self.leave)
 
     def zeros(self) -> Layers:
-        """Return zero gradients, matrices transposed to (F, H), the layout in which `reverse` accumulates."""
+        """Return zero gradients, with matrices transposed to (F, H), as `reverse` accumulates them."""
         weights = [torch.zeros_like(w.T) for w in self.weights]
         biases = [torch.zeros_like(b) for b in self.biases]
         return Layers(weights, biases, torch.zeros_like(self.last), torch.zeros_like(self.leave.T))
@@ -116,7 +116,7 @@ def reverse(v: Tensor, records: list[LayerRecord], layers: Layers, sums: Layers)
     Args:
         v: (B, F), gradient of a scalar with respect to f.
         records: result of `recorded_gradient`.
-        layers: layers passed to it.
+        layers: layers passed to `recorded_gradient`.
         sums: accumulated gradients of the scalar with respect to the parameters, initially `layers.zeros()`.
     """
     sums.leave.addmm_(v.T, records[0].delta)
@@ -138,5 +138,5 @@ def reverse(v: Tensor, records: list[LayerRecord], layers: Layers, sums: Layers)
 
 
 def _narrow(x: Tensor, matrix: Tensor) -> Tensor:
-    """Return x @ matrix in column-major order: with few columns BLAS takes a third of the time."""
+    """Return x @ matrix in column-major order: for few columns BLAS then takes a third of the time."""
     return torch.mm(matrix.T, x.T).T

@@ -1,8 +1,8 @@
 """Learned Hamiltonians of different structure, and their vector fields.
 
-Each is a field x -> J grad H(x) with the gradient with respect to the physical state, so Hamilton's equations
-hold exactly for any scaling of network inputs. Separable Hamiltonians provide `velocity` and `force` for
-symplectic composition methods.
+Each is a field x -> J grad H(x). The gradient is taken with respect to the physical state, so Hamilton's
+equations hold exactly for any scaling of network inputs. Separable Hamiltonians provide `velocity` and
+`force` for symplectic composition methods.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Structure = Literal["generic", "separable", "mechanical", "central_body", "mass_
 class GenericHamiltonian(ScaledStates):
     """H(q, p) as a single network, without structural assumptions.
 
-    Takes the arguments of `ScaledStates`, and width, depth and activation of the network.
+    The arguments are those of `ScaledStates`, and the width, depth and activation of the network.
     """
 
     unit: Tensor
@@ -73,9 +73,9 @@ class GenericHamiltonian(ScaledStates):
         return self.unit * self.network(self.seen(x)).squeeze(-1)
 
     def layers(self, x: Tensor) -> Layers | None:
-        """Return the network with scaling and J included in its first layer, so that its field is delta_1 E.
+        """Return the network with scaling in its first layer, and unit and J in E: the field is delta_1 E.
 
-        Returns None if the positions enter by a non-affine map, the energy is not such a network, or
+        Returns None if the input map of the positions is not affine, the network is not layered, or
         computations with the states x need elementary operations.
         """
         positions, network = self.positions, self.network
@@ -178,20 +178,20 @@ def make_hamiltonian(
 
     Args:
         structure: `generic` H(q, p), `separable` T(p) + V(q), `mechanical` p^2 / 2m + V(q), `central_body`
-            p^2 / 2m - m mu / r + V(q), `mass_matrix` p^T M(q)^{-1} p / 2 + V(q), or `pairs`, p^2 / 2m and a
+            p^2 / 2m - m mu / r + V(q), `mass_matrix` p^T M(q)^{-1} p / 2 + V(q), or `pairs` p^2 / 2m plus a
             potential of the distances between bodies.
         dof: degrees of freedom n.
-        mass: mass of `mechanical` and `pairs`, common or per coordinate, and of `central_body`.
-        mu: gravitational parameter of `central_body`; None: learned.
+        mass: mass for `mechanical` and `pairs`, common or per coordinate; a single mass for `central_body`.
+        mu: gravitational parameter of `central_body`; None to learn it.
         falloff: k of a learned V(q) = (R / r)^k N(q); 0 for no prescribed decay with distance.
-        dimensions: number of coordinates of a body, for `pairs`.
+        dimensions: number of coordinates per body, for `pairs`.
         inputs: input map of the positions: cartesian, isotropic, radial or angles.
         scaling: minmax, block or none.
         network: width, depth, activation.
         angular: which coordinates are angles.
 
     Raises:
-        UserError: unknown structure, an option that the structure does not have, or a value out of range.
+        UserError: unknown structure, an option that the structure does not support, or a value out of range.
     """
     require_options(structure, dof, mu, falloff, dimensions)
     if dimensions is not None:
@@ -218,7 +218,7 @@ def make_hamiltonian(
 def require_options(
     structure: Structure, dof: int, mu: float | None, falloff: float, dimensions: int | None
 ) -> None:
-    """Raise UserError for options that a structure does not have, or requires and lacks."""
+    """Raise UserError for options that a structure does not support, or a required one that is missing."""
     if mu is not None and structure != "central_body":
         message = f"mu: expected None, since {structure} has no central body; received {mu}"
         raise UserError(message)

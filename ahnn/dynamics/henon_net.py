@@ -1,4 +1,4 @@
-"""HénonNets (Burby, Tang & Maulik 2021, Plasma Phys. Control. Fusion 63, 024001), after the paper."""
+"""HénonNets, implemented from Burby, Tang & Maulik (2021, Plasma Phys. Control. Fusion 63, 024001)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ahnn.dynamics.symplectic_map import Conformal, Layers, Moves, SymplecticLay
 
 
 class HenonLayer(SymplecticLayer):
-    """Four times the Hénon map (q, p) -> (p + eta, -q + grad V(p)), which is the identity for V = 0.
+    """Hénon map (q, p) -> (p + eta, -q + grad V(p)), applied four times; the identity for V = 0.
 
     Args:
         dof: degrees of freedom n.

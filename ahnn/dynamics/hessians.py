@@ -1,6 +1,6 @@
 """Closed-form gradients and Hessians of networks composed with input maps.
 
-The Hessian of E(x) = u N(z(x)) is dz/dx^T N_zz dz/dx plus the derivative of dz/dx contracted with grad N.
+The Hessian of N(z(x)) is dz/dx^T N_zz dz/dx plus the derivative of dz/dx contracted with grad N.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Inputs(Protocol):
 
 
 class BothInputs(NamedTuple):
-    """Input maps of positions and momenta combined into one of states."""
+    """Input maps of positions and momenta, combined into one map of states."""
 
     positions: InputMap
     momenta: Cartesian
@@ -59,7 +59,7 @@ def is_closed(network: nn.Module) -> TypeGuard[Network]:
 
 
 def network_derivatives(network: nn.Module, inputs: Inputs, x: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the first and second derivatives of N in x, (B, D) and (B, D, D), if `is_closed`."""
+    """Return dN/dx, (B, D), and d2N/dx2, (B, D, D), of a network that satisfies `is_closed`."""
     assert is_closed(network)
     z, pullback = inputs.linearised(x)
     kernels = network.activation.kernels
@@ -72,7 +72,7 @@ def network_derivatives(network: nn.Module, inputs: Inputs, x: Tensor) -> tuple[
 
 
 def point_mass_derivatives(strength: Tensor | float, q: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the derivatives of -strength / r, (B, n) and (B, n, n)."""
+    """Return the gradient, (B, n), and the Hessian, (B, n, n), of -strength / r."""
     r = q.norm(dim=-1, keepdim=True)
     direction = (q / r).unsqueeze(-1)
     by = strength / r**3

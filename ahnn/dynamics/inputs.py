@@ -62,9 +62,9 @@ class LogDistance(nn.Module):
 class Isotropic(LogDistance):
     """Direction and distance, z = (q / r, s) with s the logarithm of r scaled to [-1, 1].
 
-    Suited to any force from a centre: equal ratios of distance become equal input steps. The map assumes the
-    position of the centre but nothing about the force. Despite its name it keeps the direction and does not
-    impose isotropy.
+    The map suits any force from a centre: equal ratios of distances become equal differences of s. It assumes
+    the position of the centre but nothing about the force. Despite its name, it keeps the direction and does
+    not impose isotropy.
 
     Args:
         dof: degrees of freedom n; the map has n + 1 outputs.
@@ -98,7 +98,7 @@ class Isotropic(LogDistance):
         return torch.cat((direction, self.scaled(r)), dim=-1), pullback
 
     def curvature(self, q: Tensor, gradient: Tensor) -> Tensor:
-        """Return the second derivative of z contracted with the gradient in z, shape (..., n, n)."""
+        """Return the second derivative of z contracted with the gradient with respect to z, (..., n, n)."""
         r = vector_norm(q, dim=-1, keepdim=True)
         direction = q / r
         g, along = gradient.split_with_sizes((self.size - 1, 1), -1)
@@ -111,10 +111,10 @@ class Isotropic(LogDistance):
 
 
 class Radial(LogDistance):
-    """Distance only, z = s: a central force that is the same in all directions.
+    """Distance only, z = s, for a central force that is the same in all directions.
 
-    Assumes the isotropy that `Isotropic` does not, and so learns one radial profile from orbits at different
-    distances.
+    Unlike `Isotropic`, this map assumes isotropy: a network learns one radial profile from orbits at
+    different distances.
     """
 
     name, size = "radial", 1
@@ -133,7 +133,7 @@ class Radial(LogDistance):
         return self.scaled(square.sqrt()), lambda gradient: gradient / (self.spread * square) * q
 
     def curvature(self, q: Tensor, gradient: Tensor) -> Tensor:
-        """Return the second derivative of s times the gradient with respect to it, shape (..., n, n)."""
+        """Return the second derivative of s times the gradient with respect to s, shape (..., n, n)."""
         square = q.square().sum(-1, keepdim=True)
         by = (gradient / (self.spread * square)).unsqueeze(-1)
         q = q / square.sqrt()
@@ -179,7 +179,7 @@ class Cartesian(nn.Module):
 
 
 class Angles(nn.Module):
-    """Cosine and sine of angles, and scaled other coordinates: learned functions have period 2 pi.
+    """Cosines and sines of angles, and the other coordinates scaled: learned functions have period 2 pi.
 
     Args:
         angular: which of the n coordinates are angles, in rad.
@@ -222,7 +222,7 @@ class Angles(nn.Module):
         return z, pullback
 
     def curvature(self, q: Tensor, gradient: Tensor) -> Tensor:
-        """Return the second derivative of z contracted with the gradient in z, shape (..., n, n)."""
+        """Return the second derivative of z contracted with the gradient with respect to z, (..., n, n)."""
         angle, count = q[..., self.turning], len(self.turning)
         bent = torch.zeros_like(q)
         bent[..., self.turning] = -(

@@ -1,9 +1,9 @@
-"""Lagrangian neural networks (Cranmer, Greydanus, Hoyer, Battaglia, Spergel & Ho 2020), after the paper.
+"""Lagrangian neural networks, implemented from Cranmer, Greydanus, Hoyer, Battaglia, Spergel & Ho (2020).
 
     d/dt dL/dv = dL/dq   gives   a = (d2L/dv2)^-1 (dL/dq - d2L/dvdq v)
 
-with L = m v^2 / 2 + E N(q, v): the network is added to the kinetic energy of the states' mass, so that the
-matrix is invertible at the start of training.
+with L = m v^2 / 2 + E N(q, v). The network is added to the kinetic energy, so that d2L/dv2 is invertible at
+the start of training.
 """
 
 from __future__ import annotations

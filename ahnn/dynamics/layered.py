@@ -21,7 +21,7 @@ from ahnn.dynamics.gradients import Layers, plain_gradient
 
 
 class Layer(Protocol):
-    """Affine map z -> weight z + bias; weight (H, F) and bias (H,) are or depend on parameters."""
+    """Affine map z -> weight z + bias; weight (H, F) and bias (H,) are parameters or depend on them."""
 
     @property
     def weight(self) -> Tensor:
@@ -45,7 +45,7 @@ class Network(nn.Module, ABC):
 
     Attributes:
         activation: smooth activation.
-        hidden: modules that are a `Layer`.
+        hidden: modules that implement `Layer`.
         output: the last layer.
     """
 
@@ -54,7 +54,7 @@ class Network(nn.Module, ABC):
     output: nn.Linear
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Network:
-        """Return a copy; torch drops attributes of parameters, such as units (`energy_levels`)."""
+        """Return a copy with attributes of parameters, such as units (`energy_levels`), which torch omits."""
         made = memo[id(self)] = type(self).__new__(type(self))
         vars(made).update(copy.deepcopy(vars(self), memo))
         for own, other in zip(self.parameters(), made.parameters(), strict=True):
@@ -111,7 +111,7 @@ class Network(nn.Module, ABC):
 
 @torch.no_grad()
 def silence(module: nn.Module) -> None:
-    """Set the outputs of all networks in a module to zero: their last layers, which learn first."""
+    """Set the last layers, and so the outputs, of all networks in a module to zero; they then learn first."""
     for network in module.modules():
         if isinstance(network, Network):
             for parameter in network.output.parameters():

@@ -1,7 +1,7 @@
 """Learned Hamiltonian flows in C, for the few states of a single filter.
 
-On 13 sigma points a small network costs more in torch operations than in arithmetic, even when they are
-recorded.
+For a small network and 13 sigma points, torch operations take more time for overhead than for arithmetic,
+even when they are recorded.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from ahnn.types import TimeStep
 MAPS = Cartesian, Isotropic, Radial
 """Input maps in the order of their numbers in the C library."""
 MEMBERS, ROWS = 16, 4
-"""States side by side, and rows of a tile of a product; duplicated in the C library."""
+"""Number of states processed together, and rows per matrix tile; the C library defines the same numbers."""
 
 
 class EnergyConstants(ctypes.Structure):
-    """An energy, as in learned_flow.c."""
+    """Constants of an energy, laid out as in learned_flow.c."""
 
     _fields_ = (
         *((name, N) for name in ("map", "mapped", "straight", "inputs", "width", "depth", "activation")),
@@ -46,7 +46,7 @@ class EnergyConstants(ctypes.Structure):
 
 
 class MotionConstants(ctypes.Structure):
-    """A Hamiltonian with its integrator, as in learned_flow.c."""
+    """Constants of a Hamiltonian and its integrator, laid out as in learned_flow.c."""
 
     _fields_ = (
         *((name, N) for name in ("dof", "stages", "kicks")),
@@ -63,9 +63,9 @@ def library() -> ctypes.CDLL | None:
 
 
 class LearnedFlow:
-    """Flow of learned Hamiltonian dynamics in C, equal up to rounding, for one step length at a time.
+    """Flow of learned Hamiltonian dynamics in C, equal to `flow` up to rounding.
 
-    Its parameters are those at the time of its construction. Steps of members, and gradients, use `flow`.
+    Its parameters are those at construction. Calls with gradients or separate step lengths use `flow`.
 
     Args:
         flow: the dynamics.
@@ -77,7 +77,7 @@ class LearnedFlow:
         self.flow, self.motion, self.owners = flow, motion, owners
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copy by the dynamics, since addresses cannot be copied."""
+        """Rebuild copies from the dynamics, since addresses cannot be copied."""
         return _again, (self.flow,)
 
     def transition(self, x: Tensor, dt: TimeStep) -> tuple[Tensor, Tensor]:
@@ -114,7 +114,7 @@ def _again(flow: HamiltonianDynamics) -> LearnedFlow | HamiltonianDynamics:
 
 @torch.no_grad()
 def learned_flow(flow: Any) -> LearnedFlow | None:
-    """Return the flow of dynamics in C; None without the library or for dynamics that it lacks."""
+    """Return the flow of dynamics in C; None without the library or for dynamics that it does not support."""
     if type(flow) is not HamiltonianDynamics or flow.clock:
         return None
     if not all(plain(part.data, torch.float64) for part in (*flow.parameters(), *flow.buffers())):
@@ -152,7 +152,7 @@ class PackedEnergy(NamedTuple):
 
 
 def _energies(field: Any, dof: int) -> tuple[dict[str, PackedEnergy], dict[str, Any]]:
-    """Return the packed energies of a field by name, with mass and attraction; none for other fields."""
+    """Return the packed energies of a field by name, empty if unsupported, and its mass and attraction."""
     if type(field) is GenericHamiltonian:
         packed = _packed(field.network, dof, field.positions, field.momenta, float(field.unit))
         return ({"whole": packed} if packed else {}), {}
@@ -211,7 +211,7 @@ def _packed(
 
 
 def _affine(positions: InputMap, straight: Cartesian | None, dof: int) -> tuple[Tensor, Tensor]:
-    """Return shifts and scales of affinely mapped coordinates, after `dof` unused ones for another map."""
+    """Return shifts and scales of the coordinates; those of positions with a non-affine map are unused."""
     unused = torch.ones(dof, dtype=torch.float64)
     first = (positions.affine.shift, positions.affine.scale) if isinstance(positions, Cartesian) else None
     shift, scale = first or (unused, unused)

@@ -1,8 +1,8 @@
-"""Dynamics to first order in a step of their parameters.
+"""Dynamics linearised in a step of their parameters.
 
 N(z; theta) + dN/dtheta s is represented by three parallel networks, one at theta and two displaced along +s
-and -s: a network of three times the width. A step that fails in parameter space because predictions are
-nonlinear in theta can so still be taken in function space.
+and -s, which form a network of three times the width. A step that fails in parameter space, because
+predictions are nonlinear in theta, can thus still be taken in function space.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ SHARES = (1.0, 0.5 / REACH, -0.5 / REACH)
 def linearised(dynamics: Dynamics, step: Tensor) -> tuple[Dynamics, Tensor] | None:
     """Return dynamics with networks N + dN/dtheta s, and the indices of theta in their parameters, (P,).
 
-    To first order the result depends on the indexed parameters as on theta. Parameters outside networks are
-    changed by the step itself.
+    To first order, the result depends on the indexed parameters as `dynamics` does on theta. The step is
+    added to parameters outside networks.
 
     Args:
         dynamics: result of `make_dynamics`, with networks.
@@ -54,15 +54,15 @@ def linearised(dynamics: Dynamics, step: Tensor) -> tuple[Dynamics, Tensor] | No
 
 
 def tangent(dynamics: Dynamics, wide: Dynamics, places: Tensor) -> Dynamics:
-    """Return dynamics whose derivatives by their P parameters are those of `wide` at places, (P,).
+    """Return dynamics with the derivatives of `wide` with respect to its P indexed parameters.
 
-    Its networks are those of `dynamics`; parameters outside networks, such as the logarithm of mu, have the
-    values after the step. Only its parameter derivatives are meaningful, not its motion.
+    The networks are those of `dynamics`; parameters outside networks, such as the logarithm of mu, have the
+    values after the step. Only the parameter derivatives are meaningful, not the motion.
 
     Args:
         dynamics: argument of `linearised`.
-        wide: its result.
-        places: indices of the parameters in this result.
+        wide: dynamics returned by `linearised`.
+        places: indices returned by `linearised`, (P,).
     """
     found = copy.deepcopy(dynamics)
     vector_to_parameters(parameters_to_vector(wide.parameters()).detach()[places], found.parameters())
@@ -70,7 +70,7 @@ def tangent(dynamics: Dynamics, wide: Dynamics, places: Tensor) -> Dynamics:
 
 
 def _side_by_side(dynamics: Dynamics, copies: Sequence[Tensor], shares: Sequence[float]) -> dict[str, Tensor]:
-    """Return tensors, by name, of dynamics whose networks are weighted sums of the copies."""
+    """Return the tensors, by name, of dynamics whose networks are weighted sums of the copies."""
     found, begin = dict[str, Tensor](), 0
     networks = [name for name, module in dynamics.named_modules() if isinstance(module, Network)]
     for name, parameter in dynamics.named_parameters():
@@ -93,7 +93,7 @@ def _side_by_side(dynamics: Dynamics, copies: Sequence[Tensor], shares: Sequence
 
 
 def _copied(waves: Waves, prefix: str, log_lengths: Sequence[Tensor]) -> dict[str, Tensor]:
-    """Return concatenated wave tensors: only the first copy follows the lengths."""
+    """Return concatenated wave tensors; only the first copy depends on the learned lengths."""
     first, *others = log_lengths
     kept = [waves.weight_at(other)[::2] for other in others]
     return {

@@ -17,10 +17,10 @@ from ahnn.statistics import Statistics
 class MassMatrixHamiltonian(ScaledStates):
     """H = p^T M(q)^{-1} p / 2 + V(q) with one network of the positions.
 
-    The inverse is L(q) L(q)^T, so that the kinetic energy is non-negative. The network outputs are the
-    difference of the lower triangle L from the identity, in units of the data, and V.
+    The inverse is L(q) L(q)^T with lower triangular L, so that the kinetic energy is non-negative. The
+    network outputs are L minus the identity, in units of the data, and V.
 
-    Takes the arguments of `ScaledStates`, and width, depth and activation of the network.
+    The arguments are those of `ScaledStates`, and the width, depth and activation of the network.
     """
 
     units: Tensor
@@ -43,7 +43,7 @@ class MassMatrixHamiltonian(ScaledStates):
         self.units.copy_(torch.stack(energy_units(statistics)))
 
     def seen(self, x: Tensor) -> Tensor:
-        """Return the inputs of the network, shape (..., F), of the states x, shape (..., D)."""
+        """Return the inputs of the network, shape (..., F), at the states x, shape (..., D)."""
         return self.positions(x.chunk(2, dim=-1)[0])
 
     def triangle(self, y: Tensor) -> Tensor:

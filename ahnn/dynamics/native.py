@@ -1,6 +1,6 @@
 """Integrator steps and their backward pass in C, the main cost of first-order training.
 
-The library replaces about a hundred torch operations of `written_out`, one block of members at a time.
+The library replaces about a hundred torch operations of `fused_steps`, one block of members at a time.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ KNOWN = tuple(ACTIVATIONS[name].value for name in ("gelu", "tanh", "silu"))
 PART = 512
 """Number of states that justifies one more core with its own partial sums."""
 KEPT = 1 << 22
-"""Size of a step's record in bytes above which recomputing is faster than reading."""
+"""Size of a step's record, in bytes, above which recomputing is faster than reading it."""
 
 
 class Scheme(NamedTuple):
@@ -90,14 +90,14 @@ class Increment:
         self.parts = slices(len(x), PART)
 
     def room(self) -> Tensor | None:
-        """Allocate memory for the record of the backward pass; None where recomputing costs less."""
+        """Allocate memory for the record that the backward pass reads; None if recomputing is faster."""
         inputs, units, depth, _, stages = self.sizes
         count = self.library.ahnn_kept(min(len(self.x), PART), inputs, units, depth, stages)
         bytes_kept = self.x.element_size() * count * len(self.parts)
         return self.x.new_empty(len(self.parts), count) if bytes_kept <= KEPT else None
 
     def follow(self, room: Tensor | None = None) -> Tensor:
-        """Return the increment, (B, D), and store the record of the backward pass in `room`."""
+        """Return the increment, (B, D), and store the record for the backward pass in `room`."""
         return self._call(None, room)[0]
 
     def follow_back(self, v: Tensor, room: Tensor | None = None) -> tuple[Tensor, list[Tensor]]:

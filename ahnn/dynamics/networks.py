@@ -60,7 +60,7 @@ class Perceptron(Network):
 
 
 def make_network(inputs: int, outputs: int, options: dict[str, Any]) -> Network:
-    """Build a network from the options width, depth and activation; raises UserError for any other.
+    """Build a network from the options width, depth and activation; raises UserError for others.
 
     The activation `fourier` gives a Gaussian process, any other a perceptron.
     """

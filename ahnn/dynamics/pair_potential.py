@@ -1,7 +1,7 @@
 """Learned pair potential: V = sum over i < j of m_i m_j phi(|q_i - q_j|).
 
-V is invariant under exchange of bodies, translation and rotation. It transfers to a larger number of bodies
-(`for_bodies`).
+V is invariant under exchange of bodies, translation and rotation. `for_bodies` transfers it to a different
+number of bodies.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ahnn.statistics import Statistics
 
 
 class PairPotential(nn.Module):
-    """sum of m_i m_j phi(r_ij), phi(r) = unit (R / r)^k N(log r), R the least training distance.
+    """Sum of m_i m_j phi(r_ij), phi(r) = unit (R / r)^k N(log r), with the shortest training distance R.
 
     Args:
         dof: degrees of freedom n, `dimensions` for each body: (x_1, y_1, x_2, y_2, ...).
@@ -103,7 +103,7 @@ class PairPotential(nn.Module):
         return (self.pulls(q) @ slope.unsqueeze(-1)).squeeze(-1)
 
     def pulls(self, q: Tensor) -> Tensor:
-        """Return the derivative of V in q per dN/dlog r - k N of each pair, (..., n, P), at q, (..., n)."""
+        """Return the factors in dV/dq of dN/dlog r - k N for each pair, (..., n, P), at q, (..., n)."""
         between, r = self.distances(q)
         first, second = self.pairs(q)
         count = len(self.masses)
@@ -117,7 +117,7 @@ class PairPotential(nn.Module):
         return is_closed(self.network)
 
     def write_rows(self, theta: Tensor, q: Tensor, factors: Tensor, out: Tensor) -> None:
-        """Write factors (B, n) times d(dV/dq)/dtheta to `out`, (B, n, P), theta (P,) its parameters."""
+        """Write factors (B, n) times d(dV/dq)/dtheta to `out`, (B, n, P), for parameters theta, (P,)."""
         r = self.distances(q)[1]
         z = self.scaled(r).flatten(0, 1).to(theta)
         on_rise, on_value = theta.new_ones(len(z), 1, 1) / self.spread.to(theta), theta.new_ones(len(z), 1)

@@ -1,7 +1,7 @@
 """Fused steps of several fields as a single autograd operation, one field per core at a time.
 
-A step of a small batch runs on one core, forwards and backwards. Steps of fields that share no parameter are
-independent, so that each core takes one of them.
+A step of a small batch runs on one core, forwards and backwards. Steps of fields that share no parameters are
+independent, so each core computes one of them.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from ahnn.dynamics.native import Scheme
 
 
 def parallel_steps(starts: Sequence[Tensor], layers: Sequence[Layers], schemes: Sequence[Scheme]) -> Tensor:
-    """Return the increments of one step of each of E fields, shape (E B, D), one below the other.
+    """Return the increments of one step along each of E fields, concatenated, shape (E B, D).
 
-    Gradients are of first order.
+    Only first-order gradients are available.
 
     Args:
         starts: states of each field, (B, D).
@@ -62,7 +62,7 @@ class _Steps(Function):
     @once_differentiable
     def backward(ctx: Any, *cotangents: Tensor) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         steps, rooms = _increments(ctx.schemes, ctx.saved_tensors), ctx.rooms
-        ctx.rooms = [None] * len(steps)  # the pass overwrites them
+        ctx.rooms = [None] * len(steps)  # overwritten by this pass
         pulls = cotangents[0].chunk(len(steps))
         device = pulls[0].device
         found = each(lambda k: steps[k].follow_back(pulls[k], rooms[k]), range(len(steps)), device)

@@ -1,7 +1,7 @@
 """Per-sample Jacobians of a perceptron's gradient with respect to its parameters, in closed form.
 
-The backward pass of `gradients` sums over samples. Here each of R rows per sample is kept: in layer l it is
-delta_l (x) along_l + back_l (x) a_{l-1}, two outer products per gradient evaluation. The products of all
+The backward pass of `gradients` sums over samples. Here the R rows of each sample are kept. In layer l a row
+is delta_l (x) along_l + back_l (x) a_{l-1}, two outer products per gradient evaluation. The products of all
 stages of a Runge-Kutta step form one batched product, written in place.
 """
 
@@ -22,7 +22,7 @@ class Stage(NamedTuple):
     Attributes:
         records: result of `recorded_gradient`, L layers.
         along: L + 1 tangents: the cotangents themselves (B, R, F), then after each layer (B, R, H).
-        back: gradients returned to each layer, (B, R, H).
+        back: gradients propagated back to each layer, (B, R, H).
     """
 
     records: list[LayerRecord]

@@ -1,8 +1,8 @@
 """Recorded flows: traced sequences of operations, equal up to rounding, without Python overhead.
 
-On the 13 sigma points of one state a small network costs more in Python than in arithmetic; the replayed
+For a small network and the 13 sigma points of one state, Python takes more time than arithmetic; a replayed
 sequence takes a quarter of the time. Only flows with data-independent operations are recorded: explicit
-integrators and maps, but no iterations to convergence.
+integrators and maps, but not iterations to convergence.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ SETTLED = 3
 WORTH = 150
 """Number of calls that cost as much as a recording."""
 _RECORDING = threading.Lock()
-"""Lock held during recording: parallel paths share one recording."""
+"""Lock held during recording, since threads share one recording."""
 
 
 def recorded(flow: Flow) -> Flow:
-    """Return a flow in C or a recorded one, equal up to rounding, for one step length, without gradients.
+    """Return the flow in C or as a recording, equal up to rounding, for one step length, without gradients.
 
     Dynamics with data-dependent operations, and unknown functions, are returned unchanged.
     """
@@ -81,14 +81,14 @@ class _Recorded:
 
 
 class Increments:
-    """Increments of dynamics for any parameters, without gradients; recorded where that pays.
+    """Increments of dynamics for any parameters, without gradients; recorded if this saves time.
 
     A recording is shared by all problems with the same dynamics, which differ only in their parameters.
 
     Args:
         dynamics: float64 dynamics, which are not modified.
-        calls: expected number of calls, which decides whether to record: results then depend only on the
-            problem, not on earlier problems.
+        calls: expected number of calls; the decision to record is based on it, so that results do not depend
+            on earlier problems.
     """
 
     def __init__(self, dynamics: Dynamics, calls: int) -> None:
@@ -136,7 +136,7 @@ _KNOWN: WeakKeyDictionary[Dynamics, _KnownFlow] = WeakKeyDictionary()
 
 
 def _recording(dynamics: Dynamics, *example: Tensor) -> Callable[..., Tensor]:
-    """Return the recorded increment of parameters, states and steps; made once per dynamics."""
+    """Return the recorded increment as a function of parameters, states and steps, made once per dynamics."""
     known = _KNOWN.get(dynamics)
     if known is None or not known.fits(dynamics):
         copied = copy.deepcopy(dynamics).requires_grad_(False)
@@ -149,7 +149,7 @@ def _recording(dynamics: Dynamics, *example: Tensor) -> Callable[..., Tensor]:
 
 
 def of_parameters(dynamics: Dynamics) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
-    """Return the increment as a traceable function that includes parameters; consumes the dynamics."""
+    """Return the increment as a traceable function of parameters, states and steps; modifies the dynamics."""
     shapes = {name: p.shape for name, p in dynamics.named_parameters()}
     sizes = [shape.numel() for shape in shapes.values()]
 
@@ -164,9 +164,8 @@ def of_parameters(dynamics: Dynamics) -> Callable[[Tensor, Tensor, Tensor], Tens
 
 def _record(function: Callable[..., Tensor], *example: Tensor) -> Callable[..., Tensor]:
     with torch.inference_mode(mode=False), torch.no_grad(), warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore"
-        )  # deprecated for deployment only; no control flow here depends on values
+        # torch.jit.trace is deprecated for deployment only, and no control flow here depends on values.
+        warnings.simplefilter("ignore")
         trace: Any = torch.jit.trace
         known = trace(function, tuple(t.clone() for t in example), check_trace=False)
         for _ in range(SETTLED):

@@ -1,8 +1,8 @@
 """Affine scalings of the state, fitted on the training split.
 
 The scaling is part of the vector field: the network receives scaled coordinates, and its gradient is pulled
-back to the physical state by the chain rule. Hamilton's equations then hold exactly for any scaling, also for
-a scaling per component, which is not canonical by itself in more than one dimension.
+back to the physical state by the chain rule. Hamilton's equations then hold exactly for any scaling, even for
+one scale per component, which is not canonical by itself in more than one dimension.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Affine(nn.Module):
     Args:
         kind: `minmax` maps each component to [-1, 1] (the paper); `block` shares one scale among the
             positions and one among the momenta, except for components that vary `UNEVEN` times less than
-            others, which would hardly count; `none` is the identity.
+            others and would otherwise have little effect; `none` is the identity.
         size: number of components.
     """
 

@@ -1,4 +1,4 @@
-"""Closed-form parameter Jacobians of fields: dp/dt of T(p) + V(q), and dq/dt where T is learned."""
+"""Closed-form parameter Jacobians of the fields of H(q, p) and T(p) + V(q)."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ SAMPLES = 256
 
 
 def has_separable_rows(field: nn.Module) -> TypeGuard[SeparableHamiltonian]:
-    """Return whether the rows of a field are available in closed form."""
+    """Return whether a field is separable and has closed-form parameter derivatives."""
     return isinstance(field, SeparableHamiltonian) and field.has_rows
 
 
 def separable_rows(field: SeparableHamiltonian, theta: Tensor, x: Tensor, factors: Tensor) -> Tensor:
-    """Return factors df/dtheta of the L components that depend on theta, (B, L, P): L = D, or n for known T.
+    """Return factors df/dtheta, (B, L, P), of the L components that depend on theta: L = D, or n for known T.
 
     Args:
         field: field with `has_separable_rows`.

@@ -1,4 +1,4 @@
-"""Size limit of modules during construction, from the tensors that will fill them."""
+"""Limit on the size of modules during construction, from the tensors that will fill them."""
 
 from __future__ import annotations
 

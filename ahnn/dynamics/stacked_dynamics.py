@@ -1,8 +1,8 @@
 """Members of an ensemble as one map: states grouped by member, propagated together.
 
-Each member is a module of its own; they share architecture and scalings. A step of all of them is a single
-operation: in C one member per core, otherwise by `torch.func.vmap` over their stacked parameters, with one
-kernel instead of one for each member.
+Each member is a separate module; all share architecture and scalings. A step of all members is a single
+operation: in C with one member per core, otherwise by `torch.func.vmap` over their stacked parameters, with
+one kernel for all members.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class StackedDynamics:
 
     Args:
         members: dynamics of one architecture, with equal buffers; their parameters receive the gradients, and
-            do not change while this object is in use.
+            must not change while this object is in use.
     """
 
     def __init__(self, members: Sequence[Dynamics]) -> None:
@@ -47,11 +47,11 @@ class StackedDynamics:
         return self._mapped("increment", x, dt)
 
     def field(self, x: Tensor) -> Tensor:
-        """Return the fields at states x, shape (E B, D); for dynamics that have one."""
+        """Return dx/dt at the states x, both of shape (E B, D), for dynamics with a vector field."""
         return self._mapped("field", x)
 
     def _in_c(self, x: Tensor, dt: TimeStep) -> Tensor | None:
-        """Return the increments where all members take steps in C, else None."""
+        """Return the increments if all members take steps in C, else None."""
         if not all(isinstance(member, HamiltonianDynamics) for member in self.members):
             return None
         known, count = cast("list[HamiltonianDynamics]", self.members), len(self.members)
@@ -66,7 +66,7 @@ class StackedDynamics:
         return parallel_steps(starts, self._layers, schemes)
 
     def _mapped(self, name: str, x: Tensor, *dt: TimeStep) -> Tensor:
-        """Return a method of all members at their states, by vmap unless operations depend on data."""
+        """Evaluate a method of all members at their states, by vmap unless its operations depend on data."""
         count = len(self.members)
         rows, steps = x.unflatten(0, (count, -1)), [_grouped(step, count) for step in dt]
         along = [0 if isinstance(step, Tensor) and step.ndim else None for step in steps]
@@ -91,7 +91,7 @@ class StackedDynamics:
 
 
 class _Method(nn.Module):
-    """A method of a module as a forward pass, for `functional_call`."""
+    """Wrapper whose forward pass is a method of a module, for `functional_call`."""
 
     def __init__(self, module: nn.Module, name: str) -> None:
         super().__init__()

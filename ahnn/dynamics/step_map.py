@@ -1,4 +1,4 @@
-"""Base class of discrete-time dynamics: scaled inputs and the fixed time step of the training."""
+"""Base class of discrete-time dynamics: scaled inputs and the fixed time step of the training data."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from ahnn.types import TimeStep
 Conformal = Literal["block", "none"]
 """Scalings that preserve symplecticity."""
 Layers = Annotated[int, Within(1, 1000)]
-"""Limit on the number of layers: larger numbers are mistakes, and take minutes to build."""
+"""Number of layers; larger numbers are most likely mistakes, and take minutes to build."""
 Moves = tuple[Tensor, Tensor]
 """Increments of scaled positions and momenta by a layer, (B, n) each."""
 
@@ -37,7 +37,7 @@ class SymplecticLayer(nn.Module):
 
 
 class Shear(SymplecticLayer):
-    """Shear: the gradient of a network of positions added to the momenta, or vice versa.
+    """Shear that adds the gradient of a network of the positions to the momenta, or vice versa.
 
     Args:
         dof: degrees of freedom n.
@@ -70,7 +70,7 @@ class SymplecticMap(StepMap):
         self.layers = nn.ModuleList(layers)
 
     def fit(self, statistics: Statistics) -> None:
-        """Set the time step, one scale for positions, and one for momenta, from the training split."""
+        """Set the time step, one scale for all positions and one for all momenta from the training split."""
         super().fit(statistics)
         for block in (self.positions, self.momenta):
             block.affine.scale.fill_(block.affine.scale.max())

@@ -1,4 +1,4 @@
-"""SympNets (Jin, Zhang, Zhu, Tang & Karniadakis 2020, Neural Networks 132, 166), after the paper."""
+"""SympNets, implemented from Jin, Zhang, Zhu, Tang & Karniadakis (2020, Neural Networks 132, 166)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ahnn.errors import UserError
 
 
 class LinearLayer(SymplecticLayer):
-    """Alternating shears by symmetric matrices, and a shift: any linear symplectic map, given enough shears.
+    """Alternating shears by symmetric matrices, and a shift; enough shears give any linear symplectic map.
 
     Args:
         dof: degrees of freedom n.
@@ -68,9 +68,9 @@ class SympNet(SymplecticMap):
         dof: degrees of freedom n.
         scaling: block or none.
         form: `G` or `LA`.
-        layers: number of modules of each kind that change positions, and that change momenta.
+        layers: number of modules of each kind that change positions, and as many that change momenta.
         shears: number of shears in a linear module of LA; None for 4.
-        network: width of the gradient modules of G and the activation; `depth` is ignored.
+        network: activation, and width of the gradient modules of G; `depth` is ignored.
     """
 
     assumes = "a symplectic map (SympNet)"

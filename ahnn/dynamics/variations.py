@@ -1,7 +1,7 @@
 """Jacobians of integrator steps with respect to their initial states, by variational equations.
 
 A one-step method commutes with derivatives: the Jacobian of a step along dx/dt = f is the same step along
-dY/dt = f_x Y (Hairer, Lubich & Wanner, Geometric Numerical Integration, lemma VI.4.1). So the integrators
+dY/dt = f_x Y (Hairer, Lubich & Wanner, Geometric Numerical Integration, lemma VI.4.1). The integrators thus
 apply unchanged to states augmented with variations.
 """
 
@@ -30,7 +30,7 @@ from ahnn.jacobians import step_jacobians
 from ahnn.types import VectorField
 
 SAMPLES = 1000
-"""Number of steps whose Jacobians are formed at once, so that the work fits into the cache."""
+"""Number of steps whose Jacobians are formed at once, so that their data fit into the cache."""
 
 StepJacobians = Callable[[Tensor, Tensor, Tensor], Tensor]
 """(theta (P,), states (B, N, D), lengths (B, N)) -> dx(t + dt)/dx(t) of each step, (B, N, D, D)."""

@@ -1,1 +1,1 @@
-"""Evaluation plugins and callbacks of ahnn, referenced only from YAML."""
+"""Filters, evaluations, callbacks and reports, which ahnn references only from YAML."""

@@ -1,6 +1,6 @@
 """Non-Hamiltonian and known forces: friction, actuation, forcing, attraction and networks.
 
-Each force is a class in its own file, registered under the name by which it is stored. Forces are summed.
+Each force is a class, registered under the name by which it is stored. Forces are summed.
 """
 
 from __future__ import annotations

@@ -25,12 +25,12 @@ class Actuation(Force):
         dof: degrees of freedom n.
         controls: number m of controls.
         matrix: input matrix G, n rows of m numbers; None to learn it.
-        of: `constant`, or `positions`: then a network gives G(q).
+        of: `constant`, or `positions` for G(q) given by a network.
         network: width, depth, activation of G(q).
         scaling: scaling of the network's position inputs.
 
     Raises:
-        UserError: a matrix of the wrong shape, or together with a network.
+        UserError: a matrix of the wrong shape, or a matrix with `of` = `positions`.
     """
 
     controlled: ClassVar[bool] = True
@@ -91,5 +91,5 @@ class Actuation(Force):
         return (self.matrix(at.q) @ at.u.unsqueeze(-1)).squeeze(-1)
 
     def variation(self, at: Instant, by: Instant) -> Tensor:
-        """Return the variation G du for constant G, shape (B, R, n), or of G(q) u by reverse mode."""
+        """Return the variation, (B, R, n): G du for constant G, or that of G(q) u by reverse mode."""
         return super().variation(at, by) if hasattr(self, "network") else self(by)

@@ -13,7 +13,7 @@ from ahnn.dynamics.hessians import point_mass_derivatives
 from ahnn.errors import UserError
 
 POLAR = (0.0, 0.0, 2.0)
-"""Additional factor of the oblateness force along the polar axis."""
+"""Term of the oblateness force that acts only along the polar axis."""
 
 
 @final

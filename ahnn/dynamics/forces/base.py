@@ -45,18 +45,18 @@ class Force(nn.Module, ABC):
         """Set scalings, units and initial values from the training split."""
 
     def silence(self) -> None:
-        """Set a learned force to zero, from which it can grow; by default it is not changed."""
+        """Set a learned force to zero, from which training can increase it; by default, do nothing."""
 
     @abstractmethod
     def forward(self, at: Instant) -> Tensor:
         """Return the force, shape (..., n)."""
 
     def variation(self, at: Instant, by: Instant) -> Tensor:
-        """Return the first-order variation of the force, shape (B, R, n).
+        """Return the first-order variation of the force, shape (B, R, n); by default in reverse mode.
 
         Args:
             at: arguments of the force, B of each.
-            by: variations of the arguments, (B, R, ...). The default uses reverse mode.
+            by: variations of the arguments, (B, R, ...).
         """
         sizes, x = [part.shape[-1] for part in at], torch.cat(at, dim=-1)
         value, pull, *_ = vjp(lambda rows: self(Instant(*rows.split(sizes, dim=-1))), x)

@@ -15,11 +15,11 @@ from ahnn.errors import UserError
 @final
 @checked
 class EllipticEquator(Force):
-    """Sectorial gravity of degree 2 (Montenbruck & Gill, Satellite Orbits, 3.2), per unit of mass.
+    """Sectorial gravity of degree 2 (Montenbruck & Gill, Satellite Orbits, 3.2), per unit mass.
 
     V = -3 mu R^2 / r^5 (C (x^2 - y^2) + 2 S x y) in axes that turn with the planet about its pole, the third
-    axis: C and S are the harmonics C22 and S22, not normalised. Orbits of half a day or a day are in
-    resonance with it.
+    axis. C and S are the unnormalised harmonics C22 and S22. Orbits with a period of half a day or a day are
+    in resonance with this force.
 
     Args:
         dof: 3, with the polar axis last.
@@ -29,7 +29,7 @@ class EllipticEquator(Force):
         angle: angle from the first axis to the prime meridian at time zero, rad.
         rate: rate of that angle, rad per unit of time.
         cosine: C; None to learn C and S.
-        sine: S, likewise.
+        sine: S; None to learn C and S.
 
     Raises:
         UserError: not three coordinates, or one of C and S without the other.

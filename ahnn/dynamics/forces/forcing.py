@@ -22,11 +22,12 @@ class Forcing(Force):
         dof: degrees of freedom n.
         controls: not used.
         frequency: angular frequency w, in radians per unit of time.
-        cosine: amplitudes a, n numbers; None, with b, to learn them.
+        cosine: amplitudes a, n numbers. If only one of a and b is given, the other is zero; if neither is
+            given, both are learned.
         sine: amplitudes b, n numbers.
 
     Raises:
-        UserError: only one of a and b, or a wrong length.
+        UserError: a wrong number of amplitudes.
     """
 
     timed: ClassVar[bool] = True

@@ -27,8 +27,8 @@ class Friction(Force):
     Args:
         dof: degrees of freedom n.
         controls: not used.
-        coefficient: friction coefficient in units of force over velocity, common or per coordinate; None
-            learns a positive one per coordinate.
+        coefficient: friction coefficient in units of force over velocity, common or per coordinate; None to
+            learn a positive one per coordinate.
         of: `constant`; `matrix`: R = L L^T with a learned lower triangular L, which couples coordinates; or
             `positions`: R(q) = L(q) L(q)^T with a network for L (van der Schaft & Jeltsema 2014,
             Port-Hamiltonian Systems Theory, chapter 2).
@@ -36,7 +36,7 @@ class Friction(Force):
         scaling: scaling of the network's position inputs.
 
     Raises:
-        UserError: coefficients that are negative, of the wrong number, or together with a learned matrix.
+        UserError: negative coefficients, a wrong number of them, or coefficients for a learned matrix.
     """
 
     unit: Tensor
@@ -94,7 +94,7 @@ class Friction(Force):
         return self.log_coefficient.exp()
 
     def constants(self) -> dict[str, Tensor]:
-        """Return learned constant coefficients, (n,), or the lower triangle of a matrix, row by row."""
+        """Return learned constant coefficients, (n,), or the lower triangle of a learned R, row by row."""
         if self.of == "matrix":
             rows, columns = torch.tril_indices(self.dof, self.dof)
             return {"matrix": self._square(self.lower)[rows, columns]}
@@ -110,7 +110,7 @@ class Friction(Force):
         return self._square(self.network(self.positions(q)))
 
     def _square(self, entries: Tensor) -> Tensor:
-        """Return L L^T, shape (..., n, n), of the entries of lower triangles, shape (..., n (n + 1) / 2)."""
+        """Return L L^T, shape (..., n, n), from the entries of lower triangles, (..., n (n + 1) / 2)."""
         rows, columns = torch.tril_indices(self.dof, self.dof, device=entries.device)
         places = (rows * self.dof + columns).expand(entries.shape)
         lower = entries.new_zeros(*entries.shape[:-1], self.dof**2).scatter(-1, places, entries)
@@ -124,5 +124,5 @@ class Friction(Force):
         return -(self.matrix(at.q) @ at.v.unsqueeze(-1)).squeeze(-1)
 
     def variation(self, at: Instant, by: Instant) -> Tensor:
-        """Return the variation -R dv for constant R, shape (B, R, n), or of -R(q) v by reverse mode."""
+        """Return the variation, (B, R, n): -R dv for constant R, or that of -R(q) v by reverse mode."""
         return super().variation(at, by) if self.of == "positions" else self(by)

@@ -21,7 +21,7 @@ Seen = Literal["q", "v", "t", "u"]
 @final
 @checked
 class NetworkForce(Force):
-    """Network for f(q, v, t, u), in units of the typical force; without conservation laws.
+    """Network for f(q, v, t, u), in units of the typical force; it imposes no conservation law.
 
     Args:
         dof: degrees of freedom n.
@@ -30,7 +30,7 @@ class NetworkForce(Force):
         network: width, depth, activation.
 
     Raises:
-        UserError: no inputs.
+        UserError: no inputs, or repeated ones.
     """
 
     unit: Tensor

@@ -15,11 +15,11 @@ from ahnn.errors import UserError
 @final
 @checked
 class OrbitalForce(Force):
-    """Force mu / r^2 (R / r)^k (a, b, c) in radial, transverse and normal axes, per unit of mass.
+    """Force mu / r^2 (R / r)^k (a, b, c) in radial, transverse and normal axes, per unit mass.
 
-    a, b and c are polynomials of h^2 / (mu r) - 1 and h v_r / mu, with h the angular momentum and v_r the
-    radial velocity: in two-body motion e cos f and e sin f, of eccentricity and true anomaly. Their
-    coefficients are learned, zero at first. No force that depends only on positions has this form.
+    a, b and c are polynomials in h^2 / (mu r) - 1 and h v_r / mu, with angular momentum h and radial velocity
+    v_r. In two-body motion these are e cos f and e sin f, with eccentricity e and true anomaly f. The
+    coefficients are learned, starting from zero. In general, the force depends on velocities and positions.
 
     Args:
         dof: 3.
@@ -58,7 +58,7 @@ class OrbitalForce(Force):
         self.coefficients.zero_()
 
     def constants(self) -> dict[str, Tensor]:
-        """Return radial, transverse and normal coefficients, (K,) each, by rising powers."""
+        """Return radial, transverse and normal coefficients, (K,) each, ordered by increasing powers."""
         return dict(zip(("radial", "transverse", "normal"), self.coefficients.unbind(1), strict=True))
 
     def forward(self, at: Instant) -> Tensor:

@@ -23,7 +23,7 @@ class Spring(Force):
         stiffness: common stiffness, or the symmetric matrix K, n rows of n numbers.
 
     Raises:
-        UserError: a matrix of the wrong shape or not symmetric.
+        UserError: a matrix that is not symmetric or has the wrong shape.
     """
 
     assumes = "known springs"

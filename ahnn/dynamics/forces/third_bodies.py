@@ -17,7 +17,7 @@ from ahnn.optional_libraries import library
 PARAMETERS = {"sun": "GMS", "mercury": "GM1", "venus": "GM2", "earthmoon": "GMB", "earth": "GMB"}
 PARAMETERS |= {"moon": "GMB", "mars": "GM4", "jupiter": "GM5", "saturn": "GM6", "uranus": "GM7"}
 PARAMETERS |= {"neptune": "GM8", "pluto": "GM9"}
-"""Constant of DE421 with the gravitational parameter of each body, or of Earth and Moon together."""
+"""DE421 constant with the gravitational parameter of each body, or of Earth and Moon together."""
 MARGIN = 2
 """Nodes before and after the requested span."""
 
@@ -27,9 +27,9 @@ MARGIN = 2
 class ThirdBodies(Force):
     """Attraction by bodies of DE421, minus their attraction of the centre (Montenbruck & Gill, 3.37).
 
-    m sum_j mu_j ((r_j - q) / |r_j - q|^3 - r_j / r_j^3), in the axes of ICRF. A body closer than `own` to one
-    of them is identified with it: it does not attract itself, and the second part is the contribution of its
-    own mass to the motion about the centre.
+    m sum_j mu_j ((r_j - q) / |r_j - q|^3 - r_j / r_j^3), in ICRF axes. A moving body closer than `own` to
+    one of these bodies is identified with it: it does not attract itself, and the second term is the
+    contribution of its own mass to the motion about the centre.
 
     Args:
         dof: 3.
@@ -39,13 +39,14 @@ class ThirdBodies(Force):
         epoch: Julian date, TDB, of time zero.
         span: first and last time at which the force is defined.
         spacing: time between tabulated positions, interpolated by cubics.
-        day: units of time in a day.
-        length: km in a unit of the positions.
-        own: distance below which a body does not attract.
+        day: units of time per day.
+        length: kilometres per unit of the positions.
+        own: distance below which a body exerts no direct attraction.
         mass: mass m of the moving body.
 
     Raises:
-        UserError: other than three coordinates, bodies or dates missing in DE421, or DE421 is missing.
+        UserError: not three coordinates, no bodies, an empty span, bodies or dates that DE421 does not
+            contain, or DE421 is missing.
     """
 
     timed: ClassVar[bool] = True
@@ -76,7 +77,7 @@ class ThirdBodies(Force):
         self.assumes = f"known {', '.join(bodies)}"
         self.begin, self.spacing, self.own = span[0] - MARGIN * spacing, spacing, own
         self.nodes = int((span[1] - span[0]) / spacing) + 2 * MARGIN + 2
-        # Not buffers: the nodes remain float64, whatever the precision of the weights.
+        # Not buffers, so that the nodes remain float64 for weights of any dtype.
         times = np.asarray((self.begin + spacing * np.arange(self.nodes)) / day, dtype=np.float64)
         ephemeris = opened([center, *bodies], epoch, times)
         unit = (ephemeris.AU / length) ** 3 / day**2
@@ -89,11 +90,11 @@ class ThirdBodies(Force):
         self.table = torch.from_numpy(np.stack(found, 1) * scale)
 
     def places(self, t: Tensor) -> Tensor:
-        """Return the positions of the bodies at times (..., 1), (..., J, 3); NaN beyond the span."""
+        """Return the positions of the bodies, (..., J, 3), at times t, (..., 1); NaN outside the span."""
         return self._motion(t)[0]
 
     def _motion(self, t: Tensor) -> tuple[Tensor, Tensor]:
-        """Return positions and velocities at times (..., 1), (..., J, 3) each; NaN beyond the span."""
+        """Return positions and velocities, (..., J, 3) each, at times t, (..., 1); NaN outside the span."""
         since = (t[..., 0].double() - self.begin) / self.spacing
         node = since.floor().clamp(0, self.nodes - 2)
         s = (since - node)[..., None, None]
@@ -114,7 +115,7 @@ class ThirdBodies(Force):
         return (self.strengths.to(body.device).unsqueeze(-1) * pulls).sum(-2).to(at.q)
 
     def variation(self, at: Instant, by: Instant) -> Tensor:
-        """Return the variation with position and time, shape (B, R, 3)."""
+        """Return the variation of the force with position and time, shape (B, R, 3)."""
         body, velocity = (part.unsqueeze(1) for part in self._motion(at.t))  # (B, 1, J, 3)
         shift = velocity * by.t.unsqueeze(-1) if by.t.shape[-1] else torch.zeros_like(body)
         line = body - at.q[:, None, None]
@@ -131,15 +132,15 @@ def _varied_pull(line: Tensor, by: Tensor) -> Tensor:
 
 
 def opened(names: list[str], epoch: float, days: NDArray[np.float64]) -> Any:
-    """Return DE421.
+    """Return the ephemeris DE421, after checks of the bodies and dates.
 
     Args:
         names: names of bodies, the centre first.
         epoch: Julian date.
-        days: days after it, (K,).
+        days: days after `epoch`, (K,).
 
     Raises:
-        UserError: it is missing, lacks a body or the dates, or the centre is among the bodies.
+        UserError: DE421 is missing or lacks a body or date, or the centre is among the other bodies.
     """
     data = library("de421", "de421", "ephemeris", "third_bodies")
     ephemeris = library("jplephem.ephem", "jplephem", "ephemeris", "third_bodies").Ephemeris(data)

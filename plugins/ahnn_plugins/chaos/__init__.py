@@ -2,7 +2,7 @@
 
 No model follows a chaotic path indefinitely: errors grow by a factor e per Lyapunov time. Forecasts are
 therefore evaluated by their valid time in that unit (Pathak et al. 2018, Phys. Rev. Lett. 120, 024102), and
-afterwards by the distribution of visited states.
+beyond it by the distribution of visited states.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Horizons(NamedTuple):
     """Valid times of predictions.
 
     Attributes:
-        times: (B,) times until the error exceeds the threshold; the end of the trajectory if it never does.
+        times: (B,) times until the error exceeds the threshold; the whole duration if it never does.
         ended: (B,) bool, whether the error exceeds it.
     """
 
@@ -47,8 +47,8 @@ class Chaos:
     """Valid time of the prediction from the true start in Lyapunov times, and statistics beyond it.
 
     Args:
-        threshold: error, rms over components in standard deviations of the data, up to which a prediction is
-            valid.
+        threshold: largest error of a valid prediction, rms over components in standard deviations of the
+        data.
         bins: number of histogram bins per component.
     """
 
@@ -63,7 +63,7 @@ class Chaos:
             raise UserError(message)
 
     def __call__(self, case: Case) -> Findings:
-        """Return the valid times and Lyapunov exponents of trajectories, their medians, and the overlap."""
+        """Return valid times with quartiles, Lyapunov exponents with their mean, and the overlap."""
         truth = case.test.states
         if case.fitted is not None or isinstance(case.dt, Tensor) or not bool(case.test.present.all()):
             return Findings(numbers={}, notes=["chaos: needs full states at equal steps, without gaps"])
@@ -109,8 +109,8 @@ def findings(unit: str, rates: Tensor, found: Horizons, same: float) -> Findings
 def lyapunov_exponents(flow: Flow, states: Tensor, times: Tensor, dt: float, spread: Tensor) -> Tensor:
     """Return the largest Lyapunov exponent along each trajectory, (B,), per unit of time.
 
-    A deviation is propagated along the states by the step Jacobians and renormalised after each (Benettin et
-    al. 1980, Meccanica 15, 9).
+    A deviation is propagated along the states by the step Jacobians and renormalised after each step
+    (Benettin et al. 1980, Meccanica 15, 9).
 
     Args:
         flow: flow that is accurate to rounding.
@@ -145,7 +145,7 @@ def horizons(prediction: Tensor, truth: Tensor, times: Tensor, spread: Tensor, t
 def overlap(prediction: Tensor, truth: Tensor, bins: int) -> float:
     """Return the mean overlap of histograms of predicted and true state components (..., D).
 
-    1 for identical distributions, 0 for disjoint ones.
+    The overlap is 1 for identical distributions and 0 for disjoint ones.
     """
     shared = []
     for ours, theirs in zip(prediction.flatten(0, -2).T, truth.flatten(0, -2).T, strict=True):

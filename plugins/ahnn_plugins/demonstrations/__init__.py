@@ -1,7 +1,7 @@
 """Demonstrations on external data: planetary ephemerides, and satellites on Molniya orbits.
 
-`planets` and `satellites` are sources of trajectories, `attraction` and `horizon` evaluate models learned
-from them. They need the extras `ephemeris` and `orbit`.
+`planets` and `satellites` are sources of trajectories; `attraction` and `horizon` evaluate models learned
+from them. The sources need the extras `ephemeris` and `orbit`.
 """
 
 from ahnn_plugins.demonstrations.attraction import Attraction

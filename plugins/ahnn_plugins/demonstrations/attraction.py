@@ -26,21 +26,21 @@ class Attraction:
 
     Args:
         mu: published gravitational parameter of the centre, in the units of the data.
-        bodies: gravitational parameter of each body, by name, in the order of their alternating trajectories.
+        bodies: gravitational parameters by body, in the order in which their trajectories alternate.
     """
 
     def __init__(self, mu: Positive, bodies: dict[str, Positive]) -> None:
         self.mu, self.bodies = mu, bodies
 
     def check(self, truth: System | None, space: Space, steps: int) -> None:
-        """Raise UserError for data other than bodies in space."""
+        """Raise UserError unless there are bodies and the data have three dimensions."""
         del truth, steps
         if space.dof != 3 or not self.bodies:
             message = f"bodies: expected bodies in three dimensions; received {self.bodies} in {space.dof}"
             raise UserError(message)
 
     def __call__(self, case: Case) -> Findings:
-        """Return the row of Kepler motion, mu of each body, and figures of both.
+        """Return the row of Kepler motion, the learned mu for each body, and figures of both.
 
         Raises:
             UserError: a model without a Hamiltonian.
@@ -86,7 +86,7 @@ class Attraction:
         return q.norm(dim=-1), (q * gradient[..., :3]).sum(-1) * q.norm(dim=-1)
 
     def _attraction(self, far: Tensor, strengths: Tensor, case: Case) -> Figure:
-        """Plot r² V' / mu - 1 over the distance, and the contribution of the bodies' masses."""
+        """Plot r² V' / mu - 1 against the distance, and the contributions of the bodies' masses."""
         figure = style.canvas(8, 4)
         axes = figure.subplots()
         for k, (name, mass) in enumerate(self.bodies.items()):
@@ -106,7 +106,7 @@ class Attraction:
         return figure
 
     def _ahead(self, errors: dict[str, Tensor], case: Case) -> Figure:
-        """Plot the position error of each body over time, for model and Kepler motion."""
+        """Plot the position error of each body over time, for the model and Kepler motion."""
         count = len(self.bodies)
         figure = style.canvas(9, 6)
         panels = figure.subplots(-(-count // 2), 2, sharex=True, squeeze=False).flatten()

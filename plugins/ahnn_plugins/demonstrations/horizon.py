@@ -1,4 +1,4 @@
-"""Prediction horizon of a learned flow compared with analytic ones: errors per period, from equal starts."""
+"""Prediction horizon of a learned flow compared with analytic flows, by errors per period."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ TWO_BODY, KNOWN = "two-body", "known part"
 ROUNDS, SETTLED = 8, 1e-6
 """Maximum number of Gauss-Newton steps for a start, and negligible relative change of its sum of squares."""
 USUAL = 4
-"""Usual number of these steps."""
+"""Typical number of these steps."""
 NUDGE = 1e-6
-"""Finite differences of starts, relative to distance and speed."""
+"""Finite-difference steps of starts, relative to distance and speed."""
 
 
 class Ahead(NamedTuple):
@@ -47,21 +47,21 @@ class Ahead(NamedTuple):
 @final
 @checked
 class Horizon:
-    """A learned flow compared with its known physics, an oblate planet, and two-body motion.
+    """Comparison of a learned flow with its known physics, an oblate planet, and two-body motion.
 
-    Each predicts the test trajectories twice: from their first state, and from the start that best fits noisy
-    positions of their first samples. If the learned flow contains known forces, a row shows these without the
-    learned part.
+    Each flow predicts the test trajectories twice: from their first states, and from the starts that best fit
+    noisy positions of their first samples. If the learned flow contains known forces, a row shows its
+    accuracy without the learned part.
 
     Args:
         arc: number of samples for fitting a start.
-        noise: standard deviation of their positions.
+        noise: standard deviation of the noise on their positions.
         seed: seed of that noise.
-        period: time over which errors are averaged, a day or a year in the unit of time of the data.
+        period: averaging time of the errors, such as a day or a year, in the unit of time of the data.
         unit: name of this period.
         beside: the oblate planet, if there is one.
-        mu: mu of two-body motion, or a list of one per body, whose trajectories alternate. None: mu of the
-            planet.
+        mu: mu of two-body motion, or one for each of several bodies whose trajectories alternate; None for mu
+            of the planet.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class Horizon:
         self.mu = torch.tensor(found if isinstance(found, list) else [found], dtype=torch.float64)
 
     def check(self, truth: System | None, space: Space, steps: int) -> None:
-        """Raise UserError for data in other units, or too short trajectories."""
+        """Raise UserError for data of other dimensions or units, or an arc of invalid length."""
         del truth
         if space.dof != 3 or (self.beside is not None and space.units != self.beside.units):
             expected = "three dimensions" if self.beside is None else str(self.beside.units)
@@ -95,7 +95,7 @@ class Horizon:
             raise UserError(message)
 
     def rollouts(self, samples: int) -> float:
-        """Return the cost as a number of rollouts of this length: of the learned and of the known flow."""
+        """Return the cost in rollouts of this length, for the learned and the known flow."""
         return 2.0 * (1.0 + USUAL * self.arc / samples)
 
     def flows(self, case: Case) -> dict[str, Flow]:
@@ -114,7 +114,7 @@ class Horizon:
         return kepler(x, torch.as_tensor(dt).to(x).expand(x.shape[:-1]), mu)
 
     def __call__(self, case: Case) -> Findings:
-        """Return the rows of the other flows, errors per period, and how many periods the model wins."""
+        """Return rows of the other flows, errors per period, and the periods in which the model is better."""
         measured, ahead = self._measured(case), []
         for name, flow in self.flows(case).items():
             starts = {"true": case.test.states[:, 0], "fitted": fitted_start(flow, measured, case)}
@@ -168,7 +168,7 @@ class Horizon:
 
 
 def predicted(flow: Flow, starts: Tensor, case: Case, samples: int) -> Tensor:
-    """Return predictions (R, K, 6) from starts (R, 6), which repeat the starts of all B trajectories."""
+    """Return predictions (R, K, 6) from starts (R, 6): one or more sets of starts of the B trajectories."""
     turns = len(starts) // len(case.test.times)
     clock = case.test.clock(clock_of(flow))
     rows = torch.arange(len(case.test.times)).repeat(turns)
@@ -179,7 +179,7 @@ def predicted(flow: Flow, starts: Tensor, case: Case, samples: int) -> Tensor:
 def fitted_start(flow: Flow, measured: Tensor, case: Case) -> Tensor:
     """Return the starts (B, 6) from which a flow best fits positions (B, K, 3), by Gauss-Newton steps.
 
-    Steps begin at the true start; derivatives are finite differences. A step that worsens a fit is not taken.
+    Iteration begins at the true start, with finite differences. A step that worsens a fit is rejected.
     """
     best = start = case.test.states[:, 0]
     sizes = [part.norm(dim=-1, keepdim=True).expand(-1, 3) for part in start.chunk(2, dim=-1)]
@@ -208,6 +208,6 @@ def off(states: Tensor, case: Case) -> Tensor:
 
 
 def periods_ahead(ahead: list[Ahead], label: str, other: str, start: str) -> int:
-    """Return the number of initial periods in which the flow of a label is more accurate than another one."""
+    """Return the number of periods before the flow `label` first becomes less accurate than `other`."""
     own, theirs = (one for name in (label, other) for one in ahead if (one.name, one.start) == (name, start))
     return int((own.errors < theirs.errors).long().cumprod(0).sum())

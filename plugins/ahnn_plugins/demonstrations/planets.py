@@ -20,7 +20,7 @@ from ahnn_plugins.demonstrations.segmented_series import stretches
 @final
 @checked
 class Planets:
-    """Heliocentric positions and velocities in au and au/d, axes of the ICRF, time in days of TDB.
+    """Heliocentric positions and velocities in au and au/d, in ICRF axes, with time in TDB days.
 
     Args:
         name: name of the data, in folders and tables.
@@ -31,7 +31,7 @@ class Planets:
         stretches: number of consecutive segments per planet.
 
     Raises:
-        UserError: a planet missing in DE421, or dates outside DE421.
+        UserError: a planet or dates that DE421 does not contain.
     """
 
     truth: System | None = None

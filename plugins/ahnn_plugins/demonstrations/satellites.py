@@ -1,7 +1,7 @@
 """Satellite trajectories by SGP4, from its published verification element sets.
 
-Vallado, Crawford, Hujsak and Kelso, Revisiting Spacetrack Report #3, AIAA 2006-6753: the sets, the method and
-its constants (WGS-72). The package sgp4 contains them as a file.
+Vallado, Crawford, Hujsak and Kelso, Revisiting Spacetrack Report #3, AIAA 2006-6753, describe the sets, the
+method and its constants (WGS-72). The package sgp4 contains the sets as a file.
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ from ahnn_plugins.demonstrations.extras import require
 from ahnn_plugins.demonstrations.segmented_series import stretches
 
 APART, ORDER = 10.0, 8
-"""Spacing in seconds of positions for numerical velocities, and order of the difference."""
+"""Spacing, in seconds, of the positions for numerical velocities, and order of the differences."""
 DAY = 86400.0
 
 
 @final
 @checked
 class Satellites:
-    """Positions and velocities in km and km/s, axes of TEME at the epoch of each set.
+    """Positions and velocities in km and km/s, in TEME axes at the epoch of each set.
 
-    Times are in s of UTC from 0 h of the day of the first set.
+    Times are in UTC seconds from 0 h on the day of the first set.
 
-    Velocities are derivatives of the positions: velocities reported by SGP4 differ from them by up to 2 m/s
-    near perigee of Molniya orbits.
+    Velocities are derivatives of the positions, from which the velocities reported by SGP4 differ by up to
+    2 m/s near the perigee of Molniya orbits.
 
     Args:
         name: name of the data, in folders and tables.
-        satellites: their catalogue numbers.
+        satellites: catalogue numbers.
         step: seconds between two samples.
         samples: number of samples per segment, i.e. trajectory.
         stretches: number of consecutive segments per satellite.
 
     Raises:
-        UserError: a satellite missing in the verification set, or one that SGP4 cannot propagate that long.
+        UserError: a satellite without a verification set, or one that SGP4 cannot propagate that long.
     """
 
     truth: System | None = None
@@ -81,7 +81,7 @@ class Satellites:
 
 
 def element_sets() -> dict[int, tuple[str, str]]:
-    """Return both lines of each element set of the verification, by catalogue number."""
+    """Return both lines of each verification element set, by catalogue number."""
     require("sgp4", "orbit")
     text = files("sgp4").joinpath("SGP4-VER.TLE").read_text()
     lines = [line[:69] for line in text.splitlines() if line[:2] in ("1 ", "2 ")]
@@ -89,7 +89,7 @@ def element_sets() -> dict[int, tuple[str, str]]:
 
 
 def days_since_1950(lines: tuple[str, str]) -> float:
-    """Return the epoch of an element set in days after 1950-01-00, 0 h UTC, as SGP4 counts them."""
+    """Return the epoch of an element set in days after 1950-01-00, 0 h UTC, as in SGP4."""
     satellite = require("sgp4.api", "orbit").Satrec.twoline2rv(*lines)
     return (satellite.jdsatepoch - 2433281.5) + satellite.jdsatepochF
 

@@ -18,7 +18,7 @@ def kepler(x: Tensor, t: Tensor, mu: Tensor | float) -> Tensor:
 
     Args:
         x: (..., 6) positions and velocities, bound to the centre.
-        t: elapsed times, in the unit of the velocities.
+        t: elapsed times, in the time unit of the velocities.
         mu: gravitational parameter, common or per state.
     """
     q, v = x.chunk(2, dim=-1)

@@ -2,11 +2,11 @@
 
 The Jacobian of a step is its state transition (`ahnn.dynamics.transition`), in closed form for learned
 Hamiltonians; the Jacobian of a measurement is computed by reverse mode (Bar-Shalom, Li & Kirubarajan 2001,
-section 10.3). Prediction and update triangularise rows and subtract nothing (Kailath, Sayed & Hassibi 2000,
-chapter 12). An iterated update relinearises the measurement at the last mean: Gauss-Newton steps to the most
-probable state (Bell & Cathey 1993). Innovation and likelihood refer to the prediction and are unchanged by
-iterations. Gate, status, streams, process noise, figures and rows are common to all filters, see
-`ahnn.estimation.estimator`.
+section 10.3). Prediction and update triangularise factors, without subtraction (Kailath, Sayed & Hassibi
+2000, chapter 12). An iterated update relinearises the measurement at the latest mean: Gauss-Newton steps to
+the most probable state (Bell & Cathey 1993). Innovation and likelihood refer to the prediction and are
+unchanged by iterations. Gate, status, streams, process noise, figures and rows are common to all filters
+(`ahnn.estimation.estimator`).
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class LinearisedKernel(NamedTuple):
 
     @property
     def rounding(self) -> Rounding:
-        """No amplification: means are images of means, and covariances are never formed."""
+        """No amplification of rounding errors: means are images of means; covariances are never formed."""
         return Rounding()
 
     def predict(
@@ -97,7 +97,7 @@ class LinearisedKernel(NamedTuple):
 class ExtendedKalmanFilter(GaussianFilter):
     """Extended Kalman filter with additive noise for a batch of B members, see `GaussianFilter`.
 
-    A flow or a measurement model must be differentiable by torch, or provide its derivatives (`transition`,
+    Flows and measurement models must be differentiable by torch or provide their derivatives (`transition`,
     `ahnn.measurements.Sloped`).
 
     Attributes:
@@ -105,7 +105,7 @@ class ExtendedKalmanFilter(GaussianFilter):
         iterations: number of iterations of an update; 1 linearises at the prediction only.
 
     Raises:
-        UserError: the number of iterations is not an integer.
+        UserError: the number of iterations is not a positive integer.
     """
 
     gate: Gate | None = None
@@ -120,7 +120,7 @@ class ExtendedKalmanFilter(GaussianFilter):
 
     @property
     def about(self) -> dict[str, Any]:
-        """Plain values that determine its estimates."""
+        """Plain values that determine the estimates."""
         # States of streams saved before iterations were introduced imply one iteration.
         return super().about | ({} if self.iterations == 1 else {"iterations": self.iterations})
 
@@ -130,6 +130,6 @@ class ExtendedKalmanFilter(GaussianFilter):
         return "ekf"
 
     def kernel(self, belief: Belief) -> LinearisedKernel:
-        """Return the linearisation."""
+        """Return the linearised kernel."""
         del belief
         return LinearisedKernel(self.iterations)

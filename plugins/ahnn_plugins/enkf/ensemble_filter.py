@@ -1,7 +1,8 @@
 """Ensemble Kalman filter (Evensen 1994): the Kalman update with the covariance of an ensemble.
 
-With the deviations A of the ensemble from its mean and Y of its measured images, both over sqrt(N - 1), the
-covariance of the innovation is S = Y Yᵀ + R, the gain K = A Yᵀ S⁻¹. Two forms of the analysis:
+Let A be the deviations of the ensemble from its mean and Y those of its measured images, both divided by
+sqrt(N - 1). The innovation covariance is S = Y Yᵀ + R, and the gain is K = A Yᵀ S⁻¹. The analysis has two
+forms:
 
     stochastic    each member uses an independently perturbed measurement: x_i + K (y + e_i - h(x_i)),
                   e_i ~ N(0, R) (Burgers, van Leeuwen & Evensen 1998)
@@ -10,8 +11,8 @@ covariance of the innovation is S = Y Yᵀ + R, the gain K = A Yᵀ S⁻¹. Two 
 
 Added random numbers have zero mean over the ensemble and do not change its mean. With enough members the
 initial ensemble has exactly the moments of the belief (second-order exact sampling: Pham 2001). With more
-than 2 D members the square-root form draws process noise in the same way, uncorrelated with the ensemble: on
-a linear system it then equals the Kalman filter, to rounding.
+than 2 D members the square-root form draws process noise in the same way, uncorrelated with the ensemble: for
+a linear system it then equals the Kalman filter up to rounding.
 """
 
 from __future__ import annotations
@@ -112,14 +113,14 @@ class EnsembleKalmanFilter(SampleFilter):
 
     @property
     def about(self) -> dict[str, Any]:
-        """Plain values that determine its estimates."""
+        """Plain values that determine the estimates."""
         taper = self.localisation
         own = {"form": self.form, "inflation": self.inflation, "localisation": taper and vars(taper)}
         return {**super().about, **own}
 
     @property
     def smoothers(self) -> dict[str, Callable[[FilterResult, Batch], Smoothed]]:
-        """Rauch-Tung-Striebel smoother by ensemble covariances; none if they are tapered."""
+        """Rauch-Tung-Striebel smoother from ensemble covariances; none if they are tapered."""
         if self.localisation is not None:
             return {}
         return {"smoothed": lambda result, _: Smoothed(smoother(result))}
@@ -142,7 +143,7 @@ class EnsembleKalmanFilter(SampleFilter):
         return belief.mean.unsqueeze(1) + draw @ belief.chol.mT
 
     def noise(self, draw: Tensor, points: Tensor) -> Tensor:
-        """Return numbers (B, N, D) of mean zero, uncorrelated as far as members and form allow."""
+        """Return random numbers (B, N, D) of zero mean, uncorrelated if form and ensemble size permit."""
         draw = centred(draw)
         if self.form != "square_root" or self.ensemble <= 2 * points.shape[-1]:
             return draw
@@ -212,13 +213,13 @@ class EnsembleKalmanFilter(SampleFilter):
 
 
 def centred(draw: Tensor) -> Tensor:
-    """Return normal numbers (B, N, ...) whose mean over the ensemble is zero, of unit variance."""
+    """Return normal numbers (B, N, ...) with zero mean over the ensemble and unit variance."""
     count = draw.shape[1]
     return (draw - draw.mean(1, keepdim=True)) * (count / (count - 1)) ** 0.5
 
 
 def uncorrelated(draw: Tensor) -> Tensor:
-    """Return numbers (B, N, D) of mean zero whose covariance over the ensemble is the identity."""
+    """Return numbers (B, N, D) of zero mean with identity covariance over the ensemble."""
     return _solved(draw, sample_moments(draw).chol)
 
 

@@ -16,10 +16,10 @@ from ahnn.errors import UserError
 @checked
 @dataclass(frozen=True)
 class Localisation:
-    """Taper of covariances by the distance of coordinates along a chain.
+    """Taper of covariances by the distance between coordinates along a chain.
 
-    Component k of a state belongs to coordinate k mod `coordinates`: q_i, p_i, and the error of the force on
-    i, share a position.
+    Component k of a state belongs to coordinate k mod `coordinates`: q_i, p_i and the force error of
+    coordinate i share a position.
 
     Attributes:
         radius: distance, in coordinates, beyond which correlations are zero.
@@ -60,7 +60,7 @@ class Localisation:
 def gaspari_cohn(z: Tensor) -> Tensor:
     """Return the correlation at distances z >= 0 in half radii: 1 at 0, 0 beyond 2, twice differentiable.
 
-    Gaspari & Cohn 1999, eq. 4.10: piecewise of fifth degree, positive definite in up to three dimensions.
+    Gaspari & Cohn 1999, eq. 4.10: piecewise rational, positive definite in up to three dimensions.
     """
     near = (((-0.25 * z + 0.5) * z + 0.625) * z - 5.0 / 3.0) * z**2 + 1.0
     far = (

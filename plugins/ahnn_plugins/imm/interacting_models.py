@@ -1,11 +1,11 @@
 """Interacting multiple models (Blom & Bar-Shalom 1988; Bar-Shalom, Li & Kirubarajan 2001, section 11.6.6).
 
-The motion switches between modes by a Markov chain. Each mode has a belief and a probability. Before a step
-the beliefs are mixed: the belief of mode j takes the mean and covariance of the mixture of all beliefs,
-weighted by the probabilities of a transition to mode j. Each is then predicted and updated by a Gaussian
-filter with the process noise, and optionally the flow, of its mode; modes are weighted by the likelihood of
-the measurement. The published belief consists of the moments of the mixture, which also define innovation,
-NIS and gate; the log-likelihood refers to the mixture.
+The motion switches between modes according to a Markov chain. Each mode has a belief and a probability.
+Before a step the beliefs are mixed: the belief of mode j takes the mean and covariance of the mixture of all
+beliefs, weighted by the probabilities of a transition to mode j. Each is then predicted and updated by a
+Gaussian filter with the process noise, and optionally the flow, of its mode; modes are weighted by the
+likelihood of the measurement. The reported belief consists of the moments of the mixture, which also define
+innovation, NIS and gate; the log-likelihood refers to the mixture.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ class InteractingModels(MemberFilter[MixtureState]):
 
     Attributes:
         filter: Gaussian filter of the modes; its gate is ignored.
-        modes: at least two modes, or their attributes.
+        modes: two or more modes, each a `MotionMode` or its attributes.
         dwell: mean duration of a mode, common or per mode, in the unit of time.
         gate: gate for improbable measurement rows, or None.
 
     Raises:
-        UserError: not a Gaussian filter, fewer than two modes, or a time that is not positive.
+        UserError: `filter` is not a Gaussian filter, fewer than two modes, or invalid times.
     """
 
     carried: ClassVar[type[MemberState]] = MixtureState
@@ -86,7 +86,7 @@ class InteractingModels(MemberFilter[MixtureState]):
 
     @property
     def about(self) -> dict[str, Any]:
-        """Plain values that determine its estimates."""
+        """Plain values that determine the estimates."""
         inner = {key: value for key, value in self.filter.about.items() if key != "gate"}
         own = {"filter": {"is": self.filter.name, **inner}, "dwell": self.dwell}
         return {**super().about, **own, "modes": [mode.about for mode in self._modes]}
@@ -143,7 +143,7 @@ class InteractingModels(MemberFilter[MixtureState]):
         weighed = state.log_modes + torch.stack([one.log_likelihood for one in found], 1)
         total = weighed.logsumexp(-1)
         proposed = state.mixed([one.belief for one in found], weighed - total.unsqueeze(-1))
-        told = kernel.update(state.belief, y, sensor, time)._replace(  # in addition to the moments
+        told = kernel.update(state.belief, y, sensor, time)._replace(  # innovation and NIS of the moments
             belief=proposed.belief,
             log_likelihood=total,
             singular=torch.stack([one.singular for one in found]).any(0),

@@ -12,7 +12,7 @@ from ahnn.estimation.linalg import tria
 
 
 class MixtureState(NamedTuple):
-    """State of interacting models for B members; undocumented fields as in `FilterState`.
+    """State of interacting models for B members; fields without a description are as in `FilterState`.
 
     Attributes:
         belief: moments of the mixture, computed once.
@@ -62,13 +62,13 @@ class MixtureState(NamedTuple):
         return self.status == Status.OK
 
     def mixed(self, beliefs: list[Belief], log_modes: Tensor) -> MixtureState:
-        """Return the state with replaced beliefs (K of them) and log probabilities (B, K)."""
+        """Return the state with K new beliefs and log probabilities (B, K)."""
         means, chols = (torch.stack(parts, 1) for parts in zip(*beliefs, strict=True))
         moments = mixture_moments(means, chols, log_modes.exp())
         return self._replace(belief=moments, mode_means=means, mode_chols=chols, log_modes=log_modes)
 
     def where(self, condition: Tensor, other: MixtureState) -> MixtureState:
-        """Return a state with another's beliefs for members where the condition, (B,) bool, is false."""
+        """Return the state with beliefs of `other` for members whose condition, (B,) bool, is false."""
         column = condition[:, None, None]
         return self._replace(
             belief=choose(condition, self.belief, other.belief),
@@ -78,7 +78,7 @@ class MixtureState(NamedTuple):
         )
 
     def leading(self, size: int) -> MixtureState:
-        """Return the state of the leading components."""
+        """Return the state of the first `size` components."""
         means, chols = self.mode_means[..., :size], self.mode_chols[..., :size, :size]
         return self._replace(belief=leading(self.belief, size), mode_means=means, mode_chols=chols)
 
@@ -103,7 +103,7 @@ class Mixing(NamedTuple):
 
     Attributes:
         log_modes: (B, K) log probabilities of the modes after the step.
-        origins: (B, K, K) probabilities of mode i before it, given mode j after it, at [:, j, i].
+        origins: (B, K, K) probabilities, at [:, j, i], of mode i before the step given mode j after it.
     """
 
     log_modes: Tensor

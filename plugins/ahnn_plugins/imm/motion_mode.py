@@ -27,8 +27,8 @@ class MotionMode:
 
     Attributes:
         factor: factor on the standard deviations of the filter's process noise.
-        added: standard deviations of additional white noise per state component, per square root of the unit
-            of time. Further components receive none. None: no additional noise.
+        added: standard deviations of additional white noise on the first state components, per square root of
+            the unit of time; None for no additional noise.
         beside: system whose exact flow replaces the model.
     """
 
@@ -64,7 +64,7 @@ class MotionMode:
             raise UserError(message)
 
     def noise(self, chol_q: Tensor, dt: float) -> Tensor:
-        """Return the factor (B, D, D) of the process noise of a step, from the factor of the filter."""
+        """Return the factor (B, D, D) of the mode's process noise in a step, from the filter's factor."""
         chol = self.factor * chol_q
         if self.added is None:
             return chol

@@ -1,16 +1,16 @@
-"""Bootstrap particle filter (Gordon, Salmond & Smith 1993): states are propagated, measurements weight them.
+"""Bootstrap particle filter (Gordon, Salmond & Smith 1993): measurements weight propagated states.
 
 Weights are stored as logarithms. If the effective sample size falls below a fraction of the particles, they
 are resampled (systematically: Kitagawa 1996), and perturbed by a kernel that preserves mean and covariance
 (Liu & West 2001),
 
-    x' = mean + sqrt(1 - h²) (x - mean) + h L z,    L Lᵀ the covariance,
+    x' = mean + sqrt(1 - h²) (x - mean) + h L z,    L Lᵀ the covariance.
 
-without which copies of a particle would stay identical in the absence of process noise. A measurement much
-more precise than its prediction leaves few effective particles. It is processed in stages (progressive
-correction: Oudjane & Musso 2000): the likelihood is raised to a power that leaves enough effective particles,
-which are resampled and perturbed, until the powers sum to 1. Alternatively each particle is drawn from an
-unscented update, see `unscented_proposal`.
+Without this kernel, copies of a particle would stay identical in the absence of process noise. A measurement
+much more precise than its prediction leaves few effective particles. It is therefore processed in stages
+(progressive correction: Oudjane & Musso 2000). In each stage the likelihood is raised to a power that leaves
+enough effective particles, which are resampled and perturbed, until the powers sum to 1. Alternatively, each
+particle is drawn from an unscented update (`unscented_proposal`).
 """
 
 from __future__ import annotations
@@ -56,10 +56,10 @@ class ParticleFilter(SampleFilter):
 
     Attributes:
         particles: number of particles N.
-        resample_below: fraction of N for the effective sample size below which particles are resampled.
+        resample_below: particles are resampled if the effective sample size is below this fraction of N.
         bandwidth: h of the kernel, less than 1; 0: no kernel; None: (4 / ((D + 2) N))^(1 / (D + 4)), optimal
-            for Gaussian beliefs (Silverman 1986, section 4.3), and at least 0.6 between two stages. Narrow
-            modes require less.
+            for Gaussian beliefs (Silverman 1986, section 4.3), and at least 0.6 between two stages. Beliefs
+            with narrow modes require less.
         stages: maximum number of stages per measurement; 1 for the bootstrap filter.
         proposal: `prior` weights propagated particles; `ukf` draws each from an unscented update of its
             kernel, in one stage.
@@ -117,14 +117,14 @@ class ParticleFilter(SampleFilter):
 
     @property
     def definite(self) -> bool:
-        """True: a likelihood requires definite noise."""
+        """True, since a likelihood requires definite noise."""
         return True
 
     @property
     def about(self) -> dict[str, Any]:
-        """Plain values that determine its estimates."""
+        """Plain values that determine the estimates."""
         own = {"resample_below": self.resample_below, "bandwidth": self.bandwidth, "stages": self.stages}
-        # States of streams saved before this option was introduced imply the prior.
+        # States of streams saved before this option was introduced imply `prior`.
         return {**super().about, **own, **({} if self.proposal == "prior" else {"proposal": self.proposal})}
 
     def drawn(self, belief: Belief, random: RandomNumbers) -> Tensor:
@@ -133,7 +133,7 @@ class ParticleFilter(SampleFilter):
         return belief.mean.unsqueeze(1) + draw @ belief.chol.mT
 
     def noise(self, draw: Tensor, points: Tensor) -> Tensor:
-        """Return the numbers unchanged."""
+        """Return the random numbers unchanged."""
         del points
         return draw
 
@@ -171,7 +171,7 @@ class ParticleFilter(SampleFilter):
         """Weight particles by a row, in as many stages as needed; return the state and the log density.
 
         Args:
-            state: state before the row, with zero weights for particles without an image.
+            state: state before the row, with zero weights for particles without a finite image.
             images: (B, N, M) images of its particles.
             row: row with its noise.
         """
@@ -206,7 +206,7 @@ class ParticleFilter(SampleFilter):
         """Draw particles from kernels updated by a row; return the state and the log density.
 
         Args:
-            state: state before the row, with zero weights for particles without an image.
+            state: state before the row, with zero weights for particles without a finite image.
             row: row with its noise.
         """
         weights = normalised(state.log_weights)
@@ -260,7 +260,7 @@ def _told(belief: Belief, rows: Tensor, noise: Tensor, innovation: Tensor, log_l
         rows: (B, N, M) weighted deviations of the measured particles.
         noise: (B, 2 M, M) rows of R.
         innovation: (B, M).
-        log_likelihood: (B,) log-likelihood of the row, -inf if no particle explains it.
+        log_likelihood: (B,) log-likelihood of the row, -inf if its density is zero.
     """
     chol_y = tria(torch.cat((rows, noise), dim=1))
     white = torch.linalg.solve_triangular(chol_y, innovation.unsqueeze(-1), upper=False)

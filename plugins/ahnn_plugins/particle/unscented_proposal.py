@@ -1,4 +1,4 @@
-"""Unscented proposal of particles: an unscented update of each, with correcting weights.
+"""Unscented proposal of particles: an unscented update of each particle, with importance weights.
 
 The prediction is represented by a mixture of kernels about its particles, as used after resampling. Each
 kernel N(c_i, C Cᵀ) is updated by the measurement with 2 D cubature points, and a particle is drawn from the
@@ -7,7 +7,7 @@ kernel, which fails without process noise). Its weight,
 
     w_i p(y | x) N(x; c_i, C Cᵀ) / q_i(x),
 
-makes the draws exact for the posterior of the mixture, for any quality of the linearisation. For linear
+makes the draws exact for the posterior of the mixture, however inaccurate the linearisation is. For linear
 measurements it is w_i N(y; H c_i, H C Cᵀ Hᵀ + R): a sensor more precise than the kernel width leaves as many
 effective particles as one of that width.
 """

@@ -18,10 +18,9 @@ HALVINGS, LEAST = 16, 1e-12
 STAGE_SIZE, STAGE_BANDWIDTH = 0.8, 0.6
 """Effective fraction of particles left by a stage, and kernel bandwidth between stages.
 
-Particles must reach previously unoccupied regions. For 1,000 particles of N(0, 1) and a measurement 10
-standard
-deviations away with unit noise, the final error of the mean is 0.6 standard deviations; with 0.5 and
-Silverman's bandwidth, 3.9.
+Particles must be able to reach unoccupied regions. For 1,000 particles of N(0, 1) and a measurement 10
+standard deviations away with unit noise, the final error of the mean is 0.6 standard deviations; with 0.5
+and Silverman's bandwidth, it is 3.9.
 """
 LOG_TWO_PI = math.log(2.0 * math.pi)
 
@@ -32,7 +31,7 @@ class WeighingRow(NamedTuple):
     Attributes:
         y: (B, M), NaN where a component is missing.
         sensor: measurement model.
-        chol_r: (B, M, M) factor of R, ones for missing components.
+        chol_r: (B, M, M) factor of R, with ones for missing components.
     """
 
     y: Tensor
@@ -41,11 +40,11 @@ class WeighingRow(NamedTuple):
 
     @classmethod
     def of(cls, y: Tensor, sensor: SensorModel, noise: Tensor) -> WeighingRow:
-        """Build a row with the noise of rows (B, 2 M, M), see `present_noise`."""
+        """Build a row from its noise (B, 2 M, M), see `present_noise`."""
         return cls(y, sensor, tria(noise))
 
     def log_density(self, images: Tensor) -> Tensor:
-        """Return the log densities (B, N) given particles with images (B, N, M); -inf for non-finite ones."""
+        """Return log densities (B, N) of y for images (B, N, M) of particles; -inf for non-finite images."""
         y, present = self.y.unsqueeze(1), ~torch.isnan(self.y)
         finite = images.isfinite().all(-1)
         # Missing components are filled in, since a residual may mix components.
@@ -60,8 +59,8 @@ class WeighingRow(NamedTuple):
 def exponent(log_weights: Tensor, densities: Tensor, most: Tensor, last: float, each: float) -> Tensor:
     """Return the largest exponents (B,) of the densities that keep enough effective particles.
 
-    By bisection on the logarithm (Oudjane & Musso 2000, section 4, with the effective sample size instead of
-    the ratio of weights).
+    Uses bisection on the logarithm (Oudjane & Musso 2000, section 4, with the effective sample size instead
+    of the ratio of weights).
 
     Args:
         log_weights: (B, N) normalised log weights.

@@ -1,8 +1,8 @@
 """Predicted Final Loss (PFL) pruner: stop a run whose extrapolated loss cannot compete.
 
-`predictor` forecasts a curve, `decision` is the rule, `pruner` applies it to an Optuna study, `record` to the
-jobs of a plain grid, and `callback` integrates it into a Lightning run; `log` writes and replays the
-decisions.
+`predictor` forecasts a curve, `decision` contains the rule, `pruner` applies it to an Optuna study, `record`
+stores final losses of a plain grid, and `callback` integrates the rule into a Lightning run; `log` writes and
+replays the decisions.
 """
 
 from ahnn_plugins.pfl.callback import PFLCallback

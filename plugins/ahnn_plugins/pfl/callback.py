@@ -2,8 +2,8 @@
 
 With an Optuna trial the reference is the study and a stop raises `optuna.TrialPruned`. Without one (a plain
 grid multirun) the reference is a record in the sweep folder and a stop ends the fit as early stopping does,
-because Hydra counts an exception as a failed job. Without either, nothing is pruned, but decisions are still
-logged.
+because Hydra counts an exception as a failed job. Without either, only a non-finite loss stops the run, but
+decisions are still logged.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ logger = logging.getLogger(__name__)
 class PFLCallback(L.Callback):
     """Stop a run whose Predicted Final Loss is worse than the final losses of the best complete runs.
 
-    Each `fit` within one trial is the next seed of that trial. `fit`, `use`, `fit_epochs`, `target_epoch` and
-    `top_k` are described in `Settings`.
+    Each call of `fit` within a trial trains the next seed of that trial. `fit`, `use`, `fit_epochs`,
+    `target_epoch` and `top_k` are described in `Settings`.
 
     Args:
         run_dir: folder of the run; decisions go to its `pfl.jsonl`.
@@ -69,7 +69,7 @@ class PFLCallback(L.Callback):
         self._max_epochs = 0
 
     def check(self, trainer: L.Trainer) -> None:
-        """Check before training that the monitored metric will be available; raises UserError."""
+        """Raise UserError before training if the monitored metric will not be available."""
         require_monitored("callbacks.pfl.monitor", self.monitor, trainer)
 
     def on_fit_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:  # noqa: ARG002
@@ -108,7 +108,7 @@ class PFLCallback(L.Callback):
             self._stop(trainer)
 
     def on_fit_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:  # noqa: ARG002
-        """Enter the final loss of a complete run into the record."""
+        """Append the final loss of a complete run to the record."""
         complete = self._losses and not (self.decision and self.decision.prune)
         if self.record is not None and self.trial is None and trainer.is_global_zero and complete:
             self.record.append(str(self.run_dir), self._losses[-1])
@@ -153,5 +153,5 @@ class PFLCallback(L.Callback):
 
 
 def _frozen(trial: optuna.Trial) -> optuna.trial.FrozenTrial:
-    """Return the current content of the trial in the storage."""
+    """Return the current state of the trial in the storage."""
     return next(t for t in trial.study.get_trials(deepcopy=False) if t.number == trial.number)

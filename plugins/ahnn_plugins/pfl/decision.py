@@ -19,7 +19,8 @@ class Settings(NamedTuple):
         use: `first` fits the first `fit_epochs` losses (paper), `all` every loss so far (the author's code).
         fit_epochs: minimum number of losses for a decision.
         target_epoch: epoch of the forecast.
-        top_k: number of best complete models that set the threshold; with fewer there is no pruning.
+        top_k: number of best complete models that set the threshold; with fewer models, forecasts stop no
+            run.
     """
 
     fit: FitName = "log_linear"
@@ -35,7 +36,7 @@ class Decision(NamedTuple):
     Attributes:
         prune: whether to stop.
         forecast: mean forecast over the seeds, or None.
-        threshold: worst final loss of the best `top_k` complete models, or None below `top_k` models.
+        threshold: worst final loss of the best `top_k` complete models, or None for fewer than `top_k`.
         reason: `non-finite loss`, `warm-up`, `past target`, `too few models`, `no forecast`,
             `forecast above threshold` or `forecast within threshold`.
     """
@@ -55,7 +56,7 @@ def decide(own: Sequence[Sequence[float]], finals: Sequence[float], settings: Se
         settings: see `Settings`.
 
     Returns:
-        The decision; a function of the arguments only.
+        The decision, which depends only on the arguments.
     """
     reference = best_finals(finals, settings.top_k)
     threshold = reference[-1] if len(reference) == settings.top_k else None

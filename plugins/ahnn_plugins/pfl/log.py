@@ -1,7 +1,7 @@
 """Log of every decision with its numbers, one JSON line each, and its replay.
 
-The first line of a fit contains the settings; each further line one epoch: its loss, the reference losses
-known at that moment (never more than `top_k`) and the decision. Non-finite numbers are strings, so that each
+The first line of a fit contains the settings. Each further line contains one epoch: its loss, the reference
+losses known at that time (at most `top_k`) and the decision. Non-finite numbers are strings, so that each
 line is strict JSON.
 """
 

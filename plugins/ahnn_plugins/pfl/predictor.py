@@ -1,7 +1,7 @@
 """Forecasts of a loss curve: three fits, each a pure function of the losses seen so far.
 
 Epochs count from zero, as in the paper's code: `target_epoch=50` is the 51st value. Every forecast is a
-finite number or an explicit None, whatever the curve does.
+finite number or an explicit None, for any curve.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from types import MappingProxyType
 from typing import Literal
 
 Forecast = float | None
-"""Finite forecast, or None if the curve allows none."""
+"""Finite forecast, or None if the curve does not permit one."""
 
-_POWER_FLOOR = 1e-10  # losses are clipped here before the logarithm of the power law, as in the author's code
-_LARGEST = 1e300  # forecasts are clipped here, so that means of forecasts stay finite
+_POWER_FLOOR = 1e-10  # lower limit of losses before the logarithm of the power law, as in the author's code
+_LARGEST = 1e300  # upper limit of forecasts, so that means of forecasts stay finite
 
 
 def log_linear(losses: Sequence[float], target_epoch: int) -> Forecast:
     """Forecast with A e^{Kt}: least squares of ln(loss) on the epoch.
 
-    The paper's fit. It has no asymptote, so that forecasts of flattening curves are far too low.
+    This is the paper's fit. It has no asymptote, so forecasts of flattening curves are far too low.
 
     Args:
         losses: at least two positive, finite losses, one per epoch.
@@ -58,8 +58,9 @@ def power_law(losses: Sequence[float], target_epoch: int) -> Forecast:
 def shifted_exponential(losses: Sequence[float], target_epoch: int) -> Forecast:
     """Forecast with a e^{-bt} + c through three points of the smoothed curve.
 
-    The points are a third, two thirds and the end of the curve. If the two decreases between them do not
-    shrink, the last slope is continued at half its size. Source: the author's template of 3 Apr 2026.
+    The points lie at a third, two thirds and the end of the curve. Unless the changes between them shrink and
+    have equal signs, the curve continues with half its last slope. Source: the author's template of 3 Apr
+    2026.
 
     Args:
         losses: at least four finite losses, one per epoch.

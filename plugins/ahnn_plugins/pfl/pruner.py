@@ -24,7 +24,7 @@ class PFLPruner(BasePruner):
     PRUNED and FAIL trials are ignored as references. See `Settings` for the arguments that are not listed.
 
     Args:
-        max_epochs: epochs of one seed, the stride between the series of two seeds.
+        max_epochs: number of epochs per seed, the stride between the steps of two seeds.
 
     Raises:
         UserError: invalid settings.
@@ -47,11 +47,11 @@ class PFLPruner(BasePruner):
         return self.decide(study, trial).prune
 
     def decide(self, study: Study, trial: FrozenTrial) -> Decision:
-        """Return the decision behind `prune`, with its numbers."""
+        """Return the decision that `prune` uses, with its numbers."""
         return self.decide_against(self.finals(study), trial)
 
     def decide_against(self, finals: list[float], trial: FrozenTrial) -> Decision:
-        """Return the decision on a trial among complete ones with these final losses."""
+        """Return the decision on a trial, compared with the final losses of complete trials."""
         own = list(seed_series(trial.intermediate_values, self.max_epochs).values())
         return decide(own, finals, self.settings)
 

@@ -1,7 +1,7 @@
 """Record of final losses for a plain grid multirun: a file of JSON lines in the sweep folder.
 
-Jobs that end at the same moment append under a lock. An incomplete line of a killed job is skipped and never
-joined with the next one.
+Jobs append under a lock, since several may end at the same time. An incomplete line of a killed job is
+skipped and never joined with the next one.
 """
 
 from __future__ import annotations

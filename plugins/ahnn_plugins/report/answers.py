@@ -1,4 +1,4 @@
-"""Page of the paper's claims: verdicts, numbers and confidence."""
+"""Page on the paper's claims: verdicts, numbers and confidence."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _claim(verdict: Verdict, confidence: float) -> Markup:
 
 
 def evidence_table(verdict: Verdict, confidence: float) -> Grid:
-    """Return the numbers behind a verdict."""
+    """Return the table of the numbers that a verdict is based on."""
     lines = [Line(_named(each.demand), _cells(each)) for each in verdict.evidence]
     names = ("demanded", f"ours [{confidence:.0%}]", "runs", "paper", "verdict")
     return Grid(

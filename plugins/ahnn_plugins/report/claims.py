@@ -1,7 +1,8 @@
 """The paper's claims as data, paraphrased: ratios of scores and their intervals.
 
-`An order of magnitude` is a factor that rounds to ten in powers of ten, at least sqrt(10), and `two orders`
-one that rounds to a hundred: as required by the paper's own numbers. `Comparable` is a factor of two.
+`An order of magnitude` is a factor of at least sqrt(10), which rounds to ten in powers of ten, and `two
+orders` one of at least 10 sqrt(10), as the paper's own numbers require. `Comparable` means within a factor of
+two.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ def below(
     filtered: bool = False,
     orders: int = 0,
 ) -> tuple[Demand, ...]:
-    """Build the demand that one model's errors are below another's by orders of magnitude."""
+    """Build the demands that one model's errors are below another's, by a number of orders of magnitude."""
     high = 10 ** (0.5 - orders) if orders else 1.0
     pairs = product(quantities, starts)
     return tuple(
@@ -41,7 +42,7 @@ def below(
 
 
 def alike(one: str, other: str, quantities: Iterable[str] = STATE) -> tuple[Demand, ...]:
-    """Build the demand that the errors of two models are comparable, from the true start without filter."""
+    """Build the demands that errors of two models are comparable, from the true start without a filter."""
     return tuple(Demand(Measure(one, q), Measure(other, q), 1 / ALIKE, ALIKE) for q in quantities)
 
 

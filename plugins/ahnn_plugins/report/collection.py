@@ -26,7 +26,7 @@ class Entry(NamedTuple):
     Attributes:
         folder: folder with metrics.json and, if predictions were kept, predictions.safetensors.
         results: content of metrics.json.
-        system: name of the system, with the data file or unit where these differ between the runs.
+        system: name of the system, with the data file or unit if these differ between runs.
     """
 
     folder: Path
@@ -40,7 +40,7 @@ class Entry(NamedTuple):
 
     @property
     def seed(self) -> int | None:
-        """Seed of the training, if known."""
+        """Training seed, if known."""
         seed = self.results.training.get("seed")
         return seed if isinstance(seed, int) else None
 
@@ -88,7 +88,7 @@ class Collection(NamedTuple):
 
 
 def collect(folders: Iterable[Path]) -> Collection:
-    """Collect the runs in folders, each a run or a parent of runs at any depth.
+    """Collect the runs in folders, each of which is a run or contains runs at any depth.
 
     Later evaluations of a run in the same collection are omitted, since its seed would count twice.
 
@@ -117,9 +117,9 @@ def collect(folders: Iterable[Path]) -> Collection:
 
 
 def system_names(runs: dict[Path, Results]) -> dict[Path, str]:
-    """Return the name of each run's system; systems of one name with other data or units get distinct names.
+    """Return the name of each run's system; equal names with different data or units are made distinct.
 
-    Scores in other units, or of other objects, have no common mean.
+    Scores in different units, or of different objects, have no common mean.
     """
     files = {folder: data_of(values_of(folder)) for folder in runs}
     full = {folder: ", ".join(paths) for folder, paths in files.items()}
@@ -131,7 +131,7 @@ def system_names(runs: dict[Path, Results]) -> dict[Path, str]:
 
 
 def _distinct(names: dict[Path, str], values: dict[Path, str], form: str) -> dict[Path, str]:
-    """Return the names with their values, where values of one name differ."""
+    """Append their values to names whose runs have different values."""
     found: dict[str, set[str]] = {}
     for folder, name in names.items():
         found.setdefault(name, set()).add(values[folder])
@@ -142,7 +142,7 @@ def _distinct(names: dict[Path, str], values: dict[Path, str], form: str) -> dic
 
 
 def runs_below(folder: Path) -> list[Path]:
-    """Return the folders with results below one; without later evaluations of a run."""
+    """Return the folders with results below a folder, without later evaluations of a run."""
     found = sorted(path.parent for path in folder.rglob(FILE))
     later = {each for each in found if each.parent.name == EVALUATIONS and each.parent.parent in found}
     return [each for each in found if each not in later]

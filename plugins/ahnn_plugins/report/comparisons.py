@@ -20,7 +20,7 @@ COLUMNS = [
     Measure("", quantity, start, with_filter)
     for with_filter, start, quantity in product((False, True), STARTS[:2], QUANTITIES[:2])
 ]
-"""Columns of the ablation; each row states its model."""
+"""Columns of the ablation, for the model of each row."""
 
 
 class Order(NamedTuple):
@@ -40,7 +40,7 @@ class Order(NamedTuple):
 
 
 def ordered(samples: dict[str, Sample], confidence: float) -> Order:
-    """Rank samples with values, undefined ones last."""
+    """Rank the models that have scores, with undefined means last."""
     there = {model: sample for model, sample in samples.items() if sample.values}
     models = sorted(there, key=lambda m: math.inf if math.isnan(there[m].typical) else there[m].typical)
     decided = [ratio(there[a], there[b], confidence).high < 1 for a, b in pairwise(models)]
@@ -62,9 +62,9 @@ def agreement(
 
 
 def order_table(board: Board, confidence: float) -> Grid | None:
-    """Build the ranking of the models in each column of results; None for a single model.
+    """Build the ranking of the models by each error; None for a single model.
 
-    Columns on the paper are left out for a system that it does not treat.
+    Columns about the paper are omitted for a system that it does not treat.
     """
     lines = []
     for with_filter, start, quantity in product((False, True), STARTS, QUANTITIES):
@@ -100,7 +100,7 @@ def order_table(board: Board, confidence: float) -> Grid | None:
 
 
 def ablation_table(board: Board, confidence: float) -> Grid | None:
-    """Build the table of errors by window W for one kind of model; None for fewer than two windows."""
+    """Build the table of errors by window W, grouped by assumptions; None without two windows to compare."""
     lines = []
     for assumes, windows in sorted(windows_of(board).items()):
         if len(windows) > 1:
@@ -134,7 +134,7 @@ def windows_of(board: Board) -> dict[str, dict[int, list[Entry]]]:
 
 
 def _window(board: Board, entries: list[Entry], first: list[Entry], confidence: float) -> tuple[Cell, ...]:
-    """Return number of runs and errors of a window, with the factors to the first one."""
+    """Return the number of runs and the errors of a window, with their ratios to those of the first."""
     cells = [Cell(str(len(entries)))]
     for measure in COLUMNS:
         own, base = board.sample_of(entries, measure), board.sample_of(first, measure)

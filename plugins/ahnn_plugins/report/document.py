@@ -11,7 +11,7 @@ POLICY = (
     "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline' 'unsafe-eval'; "
     "img-src data: blob:; font-src data:; worker-src blob:"
 )
-"""Content security policy of the page: nothing external. Plotly compiles its shaders' code."""
+"""Content security policy of the page: no external content. Plotly needs eval to compile shaders."""
 
 OPEN_FOR_PRINT = """
 addEventListener("beforeprint", () => {
@@ -53,7 +53,7 @@ def page(title: str, subtitle: str, sections: list[Section], library: str = "") 
         title: title of the window and the page.
         subtitle: line below the title.
         sections: sections in order.
-        library: source of plotly.js; "" without interactive figures.
+        library: source of plotly.js and the renderer; "" without interactive figures.
     """
     style = files("ahnn_plugins.report").joinpath("page.css").read_text("utf-8")
     head = tag(

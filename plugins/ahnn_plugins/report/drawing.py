@@ -17,8 +17,8 @@ class Series(NamedTuple):
         label: legend label; series with equal labels are toggled together.
         x, y: values, (T,); NaN interrupts a curve.
         z: third coordinate of an orbit, (T,).
-        role: role of the series. A `filter` is a model that assimilates, a `seed` one run of several of a
-            model, a `term` a part of a sum, a `track` a true path: dashes of its revolutions would overlap.
+        role: role of the series. A `filter` is a model with a filter, a `seed` one of several runs of a
+            model, a `term` a part of a sum, a `track` a true path, solid since dashes of revolutions overlap.
         slot: index of its model in the report, or of its term; role and slot determine colour and dash, so
             that a model looks the same in every figure.
         low, high: band about a curve, (T,).

@@ -18,7 +18,7 @@ class Cell(NamedTuple):
 
     Attributes:
         text: text of the cell.
-        tone: `best` of its column, `quiet` for values from elsewhere, `words` for text instead of a number.
+        tone: `best` in its column, `quiet` for values from other sources, `words` for text.
         note: footnote number from 1; 0: no footnote.
     """
 
@@ -35,7 +35,7 @@ class Head(NamedTuple):
 
 
 class Line(NamedTuple):
-    """Row with heading and cells; or, without cells, a heading of the following rows."""
+    """Row with a heading and cells or, without cells, a heading for the following rows."""
 
     name: str
     cells: tuple[Cell, ...] = ()

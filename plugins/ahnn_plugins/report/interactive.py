@@ -24,13 +24,13 @@ ABOVE, BELOW, GAP = 34, 46, 58
 TALL, LOW, SPACE = 250, 150, 500
 """Heights of a panel among few, of a panel among many, and of a scene."""
 NARROW, SHORT, LONG = 2.5, 30.0, 1e6
-"""Dynamic ranges of log axes with linear labels, labels between powers of ten, and labels set here at all."""
+"""Dynamic ranges of log axes below which labels are linear, between powers of ten, or not left to plotly."""
 DISTANCE = 2.3
-"""Distance of the eye from a scene, in units of its size."""
+"""Distance of the camera from a scene, in units of its size."""
 
 
 def library() -> str:
-    """Return the script required by `to_html`, plotly and our renderer, once per page.
+    """Return the script that `to_html` requires once per page: plotly and the renderer.
 
     Raises:
         ImportError: plotly is not installed (the extra `report`).
@@ -90,7 +90,7 @@ def _stack(drawing: Drawing) -> Any:
 
 
 def _heading(panel: Panel, top: float) -> dict[str, Any]:
-    """Return the label of a vertical axis, placed above it, since narrow screens lack room to its left."""
+    """Return the label of a vertical axis, placed above it, since narrow screens lack space to its left."""
     place = {"xref": "paper", "yref": "paper", "x": 0, "y": top, "xanchor": "left", "yanchor": "bottom"}
     text = html.escape(", ".join(filter(None, (panel.y, panel.note))))
     return {"text": text, "showarrow": False, "yshift": 2, **place}
@@ -151,10 +151,10 @@ def _decades(panel: Panel) -> dict[str, Any]:
     low, high = float(values.min()), float(values.max())
     if high >= SHORT * low:
         return {"dtick": 1}
-    if high < NARROW * low:  # none of the ticks below may lie between
+    if high < NARROW * low:  # possibly none of the ticks below lies between
         ticks = list(map(float, MaxNLocator(4).tick_values(low, high)))
         return {"tickvals": ticks, "ticktext": [f"{tick:.6g}" for tick in ticks]}
-    # plotly would label these by a digit without its power of ten.
+    # plotly would label these ticks with a digit but no power of ten.
     decades = range(math.floor(math.log10(low)) - 2, math.ceil(math.log10(high)) + 3)
     ticks = [float(f"{digit}e{decade}") for decade in decades for digit in (1, 2, 5)]
     return {"tickvals": ticks, "ticktext": [f"{tick:g}" for tick in ticks]}
@@ -246,7 +246,7 @@ def _planet(panel: Panel) -> list[dict[str, Any]]:
 
 
 def _camera(panel: Panel) -> dict[str, Any]:
-    """Return a camera position slightly above the plane of the last path, which is the truth."""
+    """Return a camera position near the normal to the plane of the last path, which is the truth."""
     last = panel.series[-1]
     assert last.z is not None
     points = np.stack([_numbers(part) for part in (last.x, last.y, last.z)], axis=-1).astype(np.float64)
@@ -259,7 +259,7 @@ def _camera(panel: Panel) -> dict[str, Any]:
 
 
 def _precise(values: Tensor) -> np.ndarray:
-    """Return values unchanged: energies vary below the resolution of float32."""
+    """Return values in full precision, since energies vary by less than the resolution of float32."""
     return values.detach().numpy()
 
 

@@ -85,7 +85,7 @@ def _cell(cell: Cell) -> Markup:
 
 
 def grid_latex(grid: Grid) -> str:
-    """Return a table for LaTeX with the package booktabs."""
+    """Return a LaTeX table, which requires the package booktabs."""
     first = next((line.cells for line in grid.lines if line.cells), ())
     kinds = "".join("l" if cell.tone == "words" else "r" for cell in first)
     lines = [

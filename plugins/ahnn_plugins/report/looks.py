@@ -1,7 +1,7 @@
 """Appearance of series in all renderers: colour, dash, width and symbol, by role and slot.
 
-Colours are from Okabe & Ito; the first 30 models of a report have distinct combinations of colour and
-dash, so that curves are distinguishable without colour.
+Colours are from Okabe & Ito. The first 30 models of a report have distinct combinations of colour and dash;
+the first five are distinguishable by dash alone.
 """
 
 from __future__ import annotations

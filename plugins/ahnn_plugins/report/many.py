@@ -25,7 +25,7 @@ def tables(collection: Collection, confidence: float) -> dict[str, list[Grid]]:
 def with_claims(
     collection: Collection, grids: dict[str, list[Grid]], confidence: float
 ) -> dict[str, list[Grid]]:
-    """Return the tables with one of the paper's claims for each of its systems."""
+    """Return the tables, with a table of the paper's claims added for each of its systems."""
     found = verdicts(collection, confidence)
     return {
         system: [*tables, *([claims_table(system, own, confidence)] if own else [])]

@@ -14,7 +14,7 @@ SIGNS = re.compile(r"[\\`*_{}\[\]#|~!$]")
 
 
 def grid_markdown(grid: Grid) -> str:
-    """Render a table with pipes, with its title and caption over it and its footnotes below."""
+    """Render a table with pipes, with its title and caption above it and its footnotes below."""
     columns = [*map(list, zip(*map(_spread, grid.heads), strict=True))]
     heads = [", ".join(dict.fromkeys(filter(None, column))) for column in columns]
     first = next((line.cells for line in grid.lines if line.cells), ())

@@ -45,5 +45,5 @@ def tag(name: str, /, *content: Content, **attributes: str | int | None) -> Mark
 
 
 def safe_name(name: str) -> str:
-    """Return a safe name of a file or an anchor from untrusted text."""
+    """Return a safe name for a file or an anchor from untrusted text."""
     return UNSAFE.sub("_", name)[:100] or "_"

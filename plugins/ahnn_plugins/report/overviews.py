@@ -16,7 +16,7 @@ from ahnn_plugins.report.settings import loss_of, noise_of, values_of
 
 
 def score_table(board: Board) -> Grid:
-    """Build the table of all rows of all models with floors."""
+    """Build the table of all scores of all models, with floors."""
     lines, quantities = [], scored(board.entries)
     for model, entries in board.groups.items():
         lines.append(Line(model))
@@ -43,13 +43,13 @@ def score_table(board: Board) -> Grid:
 
 
 def scored(entries: Iterable[Entry]) -> list[str]:
-    """Return the quantities with a score in some row: velocities may be unmeasured, energies unknown."""
+    """Return the quantities with a score in any row: velocities may be unmeasured, energies unknown."""
     rows = [row.scores for entry in entries for row in entry.results.rows]
     return [q for q in QUANTITIES if measured(getattr(scores, q) for scores in rows).values]
 
 
 def floors(entries: Iterable[Entry], who: Who, quantity: str) -> Sample:
-    """Return the floor of a row, over runs."""
+    """Return the floors of a row, over runs."""
     found = []
     for entry in entries:
         same = [r for r in entry.results.rows if r.who.floor and r.who[1:4] == who[1:4]]
@@ -62,7 +62,7 @@ def floors(entries: Iterable[Entry], who: Who, quantity: str) -> Sample:
 
 
 def described(who: Who, model: str) -> str:
-    """Describe predictor and start, without the model's name in its own section."""
+    """Describe predictor and start, without the model's name, which heads the section."""
     name = title(who, model)
     own = name.removeprefix(model).removeprefix(" + ") if who.process == MODEL else name
     span = ", settled" if who.span == "settled" else ""
@@ -70,7 +70,7 @@ def described(who: Who, model: str) -> str:
 
 
 def ladder_table(board: Board) -> Grid | None:
-    """Return the errors by prior knowledge, loss and noise; None if all runs agree in them."""
+    """Return the errors by prior knowledge, loss and noise; None if these are equal for all runs."""
     steps: dict[tuple[str, str, str], list[Entry]] = {}
     for entry in board.entries:
         content = values_of(entry.folder)

@@ -15,7 +15,7 @@ SUSPICIOUS = "suspicious.csv"
 COLUMNS = ["table", "model", "scenario", "quantity", "value_in_physical_units", "unit"]
 REASONS = ["table", "model", "scenario", "quantity", "reason"]
 MODELS = ("MLP", "NODE", "HNN", "AHNN3", "AHNN5")
-"""Rows of both tables, in the paper's order; with the filter `filtered` gives their names."""
+"""Rows of both tables, in the paper's order; `filtered` returns their names with the filter."""
 
 SYSTEMS = {
     "table1_mass_spring": "mass_spring",
@@ -38,7 +38,7 @@ class PaperCell(NamedTuple):
     Attributes:
         system: `mass_spring` or `molniya`.
         model: one of `MODELS`.
-        filtered: whether with the filter.
+        filtered: whether the number is with the filter.
         start: start of the prediction.
         quantity: `position`, `velocity` or `energy`.
     """
@@ -54,9 +54,9 @@ class Printed(NamedTuple):
     """Number printed in the paper.
 
     Attributes:
-        value: printed value, in the unit.
+        value: printed value, in `unit`.
         unit: physical unit.
-        doubt: reason why it is suspicious; "" if not.
+        doubt: reason why the number is suspicious; "" if it is not.
     """
 
     value: float

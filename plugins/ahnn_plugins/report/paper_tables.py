@@ -109,7 +109,7 @@ def _doubts(board: Board, columns: list[tuple[Start, str]]) -> list[str]:
 
 
 def _best(board: Board, start: Start, quantity: str, with_filter: bool) -> str | None:
-    """Return the model of the lowest mean; None for fewer than two means."""
+    """Return the model with the lowest mean; None for fewer than two means."""
     means = {m: board.sample(Measure(m, quantity, start, with_filter)).mean for m in MODELS}
     finite = {model: mean for model, mean in means.items() if math.isfinite(mean)}
     return min(finite, key=lambda model: finite[model]) if len(finite) > 1 else None

@@ -42,14 +42,14 @@ def require_plotly() -> None:
 
 
 def library() -> str:
-    """Return the source of plotly.js."""
+    """Return the source of plotly.js and the renderer."""
     from ahnn_plugins.report.interactive import library as source
 
     return source()
 
 
 def pictures(collection: Collection) -> list[Picture]:
-    """Return all figures of a collection; without plotly.js itself."""
+    """Return all figures of a collection, without plotly.js itself."""
     from ahnn_plugins.report.figures import draw
     from ahnn_plugins.report.interactive import to_html
     from ahnn_plugins.report.static import to_matplotlib

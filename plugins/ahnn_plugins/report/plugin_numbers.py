@@ -1,4 +1,4 @@
-"""Numbers of plugins: means with 95 % bands are tested, all other numbers are listed."""
+"""Numbers of plugins: means with 95 % bands are tested; all other numbers are listed."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class JudgedNumber(NamedTuple):
 
 
 def judged(numbers: Any, name: str = "") -> Iterator[JudgedNumber]:
-    """Yield every mean with a band in nested numbers, by its path."""
+    """Yield every mean that has a band in nested numbers, named by its path."""
     if not isinstance(numbers, dict):
         return
     band, mean = numbers.get(BAND), numbers.get("mean")
@@ -37,7 +37,7 @@ def judged(numbers: Any, name: str = "") -> Iterator[JudgedNumber]:
 
 
 def consistency_table(system: str, numbers: dict[str, Any]) -> Grid | None:
-    """Return the consistency of the estimators; None without such numbers."""
+    """Build the table of the estimators' consistency; None without means that have a band."""
     lines = []
     for each in judged(numbers):
         inside = each.low <= each.mean <= each.high
@@ -57,7 +57,7 @@ def consistency_table(system: str, numbers: dict[str, Any]) -> Grid | None:
 
 
 def as_text(numbers: Any) -> str:
-    """Return nested numbers as readable JSON with long lists cut."""
+    """Return nested numbers as readable JSON, with long lists shortened."""
     return json.dumps(plain(_cut(numbers)), indent=1, ensure_ascii=False)
 
 

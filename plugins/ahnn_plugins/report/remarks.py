@@ -15,7 +15,7 @@ from ahnn_plugins.report.paper_tables import LAYOUTS, is_of_paper
 from ahnn_plugins.report.scores import Board
 
 SAME = 1e-6
-"""Relative difference of floors within which runs used the same test trajectories."""
+"""Relative difference of floors up to which runs count as tested on the same trajectories."""
 
 
 def remarks(board: Board) -> list[str]:

@@ -23,7 +23,7 @@ class Sample(NamedTuple):
 
     @property
     def mean(self) -> float:
-        """Arithmetic mean; inf or NaN if a value is."""
+        """Arithmetic mean; inf or NaN if any value is."""
         return sum(self.values) / len(self.values) if self.values else math.nan
 
     @property
@@ -100,14 +100,14 @@ def _power(logarithm: float) -> float:
 
 
 def _quantile(confidence: float, freedom: float) -> float:
-    """Return the quantile of Student's t of a two-sided interval."""
+    """Return the quantile of Student's t for a two-sided interval."""
     from scipy.special import stdtrit  # import takes a tenth of a second and is needed only for comparisons
 
     return float(stdtrit(freedom, 0.5 + confidence / 2))
 
 
 def _lost(one: Sample, other: Sample) -> Ratio:
-    """Return a ratio with diverged predictions: known only if all of one and none of the other diverged."""
+    """Return a ratio with diverged runs: known only if all of one sample and none of the other diverged."""
     if one.values and other.values:
         lost = [[not math.isfinite(value) for value in sample.values] for sample in (one, other)]
         enough = min(map(len, lost)) > 1

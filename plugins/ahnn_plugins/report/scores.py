@@ -25,7 +25,7 @@ class Measure(NamedTuple):
         model: name in tables.
         quantity: `position`, `velocity` or `energy`.
         start: start of the prediction.
-        filtered: whether with the filter.
+        filtered: whether the score is with the filter.
     """
 
     model: str
@@ -72,7 +72,7 @@ class Board(NamedTuple):
         return measured(values)
 
     def printed(self, measure: Measure) -> Printed | None:
-        """Return the paper's number for a measure, if in the same unit."""
+        """Return the paper's number for a measure; None if it is missing or in a different unit."""
         found = printed().get(
             PaperCell(self.system, measure.model, measure.filtered, measure.start, measure.quantity)
         )
@@ -113,7 +113,7 @@ def sample(entries: Iterable[Entry], who: Who, quantity: str) -> Sample:
 
 
 def measured(values: Iterable[float | None]) -> Sample:
-    """Return a score, None for NaN of unmeasured quantities; diverged ones are infinite."""
+    """Return the sample without None or NaN, which mark unmeasured quantities; inf marks diverged runs."""
     return Sample(tuple(value for value in values if value is not None and not math.isnan(value)))
 
 

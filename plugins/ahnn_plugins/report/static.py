@@ -23,7 +23,7 @@ DASHES: dict[str, Any] = {
 }
 MARKERS = {"circle": "o", "square": "s", "line": "_", "x": "x"}
 NARROW, SHORT = 2.5, 30.0
-"""Dynamic ranges of log axes with linear labels, and with labels between powers of ten."""
+"""Dynamic ranges of log axes below which labels are linear, or lie between powers of ten."""
 MANY = 3
 """Maximum number of panels in one column; more use two."""
 
@@ -40,7 +40,7 @@ def to_matplotlib(drawing: Drawing) -> Figure:
     if square:
         figure.set_size_inches(6.4, 6.0)
     grid = figure.subplots(rows, columns, sharex=not drawing.panels[0].equal, squeeze=False)
-    # Column-wise: positions left of velocities.
+    # Column by column, so that positions are to the left of velocities.
     places = list(grid.T.flat)
     for axes in places[count:]:
         axes.set_visible(False)

@@ -15,12 +15,12 @@ MOST = 720
 def extremes(columns: Sequence[Tensor], most: int = MOST) -> Tensor:
     """Return the indices of the samples to keep, (K,) int64, increasing, K <= most.
 
-    Samples are divided into blocks of equal length. Each keeps the minimum and maximum of every column, and
-    one NaN, if any, so that gaps are preserved. The first and the last sample are kept.
+    Samples are divided into blocks of equal length. Each block keeps the minimum and maximum of every column,
+    and one NaN, if any, so that gaps are preserved. The first and the last sample are kept.
 
     Args:
         columns: values (T,) at common samples.
-        most: maximum number of samples, at least 4 plus 3 per column.
+        most: maximum number of samples, at least 2 plus 3 per column.
 
     Raises:
         ValueError: the maximum is too small.
@@ -41,7 +41,7 @@ def extremes(columns: Sequence[Tensor], most: int = MOST) -> Tensor:
 
 
 def _marked(column: Tensor, rows: Tensor) -> Tensor:
-    """Return the minimum, maximum and first missing sample in each row of samples (N, L)."""
+    """Return the indices of the minimum, maximum and first missing sample in each row of samples (N, L)."""
     values = column[rows]
     missing = values.isnan()
     least = values.masked_fill(missing, torch.inf).argmin(1, keepdim=True)

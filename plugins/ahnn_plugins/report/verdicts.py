@@ -1,10 +1,10 @@
-"""Verdicts on claims from runs: it holds, it does not hold, or it is undecided.
+"""Verdicts on claims from runs: a claim holds, does not hold, or is undecided.
 
 A claim is a set of demands, each of which requires that the ratio of two scores lies in an interval. It holds
-if the confidence interval of every ratio lies inside: each at the level of the report, without correction,
-since all must pass (an intersection-union test). It does not hold if the interval of some ratio lies entirely
-outside, at the level divided by the number of demands (Bonferroni), since any single one suffices. Otherwise
-it is undecided.
+if the confidence interval of every ratio lies inside: each at the confidence level of the report, without
+correction, since all must pass (an intersection-union test). It does not hold if the confidence interval of
+any ratio lies entirely outside, with the error probability divided by the number of demands (Bonferroni),
+since a single one suffices. Otherwise it is undecided.
 """
 
 from __future__ import annotations
@@ -69,12 +69,12 @@ class Evidence(NamedTuple):
 
     @property
     def supported(self) -> bool:
-        """Whether the paper's own ratio lies within it."""
+        """Whether the paper's own ratio lies within the demanded interval."""
         return self.paper is not None and self.demand.low <= self.paper <= self.demand.high
 
 
 class Verdict(NamedTuple):
-    """Verdict on a claim, with evidence and the reason for indecision."""
+    """Verdict on a claim, with evidence and, if undecided, the reason."""
 
     claim: Claim
     answer: Answer
@@ -110,7 +110,7 @@ def judged(
 
 
 def answer(evidence: list[Evidence]) -> Answer:
-    """Combine all evidence to an answer."""
+    """Combine all evidence into an answer."""
     if all(each.ratio is None for each in evidence):
         return "not tested"
     if any(each.refuted for each in evidence):

@@ -29,7 +29,7 @@ FOLDERS = ("figures", "tables")
 @checked
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """Writes report.html, tables.csv, tables/*.tex and *.md, and figures/*.png and *.svg.
+    """Writer of report.html, tables.csv, tables/*.tex and *.md, and figures/*.png and *.svg.
 
     Attributes:
         confidence: confidence level of rankings and claims.
@@ -49,7 +49,7 @@ class Report:
             output: report folder, new or of an earlier report.
 
         Raises:
-            UserError: there are no runs, a run is damaged, a folder has other content, or plotly is missing.
+            UserError: no runs, a damaged run, an output folder with other content, or plotly is missing.
         """
         if self.figures:
             require_plotly()
@@ -123,7 +123,7 @@ def clear_earlier(output: Path) -> None:
 
 
 def earlier(output: Path) -> list[Path]:
-    """Return tables and figures in the folder of a report, of any origin."""
+    """Return the tables and figures in a report folder, of any origin."""
     tables = output / "tables"
     found = [p for p in tables.iterdir() if p.suffix in (".tex", ".md")] if tables.is_dir() else []
     return [*pictures_in(output / "figures"), *sorted(found)]

@@ -1,9 +1,9 @@
-"""Unscented Kalman filter: batched over trajectories, in square-root form, consistent in its uncertainty.
+"""Unscented Kalman filter: batched over trajectories, in square-root form, with consistent uncertainty.
 
-A pure kernel over NamedTuples in float64: any function `flow(x, dt)` is the process model, NaN marks missing
-components, a failed member gets a status and never affects other members, and every repair is counted. It
-processes one prediction or measurement at a time (`UnscentedKalmanFilter`), or runs over a batch of them
-(`unscented_filter`) with a smoother. The kernel is independent of training runs and can be used separately.
+The kernel consists of pure functions of NamedTuples in float64: any function `flow(x, dt)` can be the process
+model, NaN marks missing components, a failed member gets a status and never affects other members, and every
+repair is counted. The filter processes one prediction or measurement at a time (`UnscentedKalmanFilter`), or
+a batch of them (`unscented_filter`) with a smoother. It is independent of training runs.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Gauss-Hermite Kalman filter: the moments of a sigma-point filter by a product of quadrature rules.
+"""Gauss-Hermite Kalman filter: a sigma-point filter with moments from a product of quadrature rules.
 
 A rule of p nodes integrates polynomials up to degree 2 p - 1 in each component exactly (Ito & Xiong 2000;
-Arasaratnam, Haykin & Elliott 2007), while unscented points are exact up to degree three. It requires p^D
-points, all of positive weight, so that factors are triangularised without subtraction. With three nodes and
-one component the points agree with the unscented filter with kappa = 2.
+Arasaratnam, Haykin & Elliott 2007), while unscented points are exact up to degree three. The product requires
+p^D points, all of positive weight, so that factors are triangularised without subtraction. With three nodes
+and one component the points agree with those of the unscented filter with kappa = 2.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from ahnn.estimation.smoother import backward_law
 from ahnn.types import Flow
 
 MOST = 20_000
-"""Maximum number of points per member: 3 nodes for 9 components, 5 for 6."""
+"""Maximum number of points per member, enough for 3 nodes with 9 components or 5 nodes with 6."""
 
 
 class HermiteRule(NamedTuple):
-    """Product of Gauss-Hermite rules for N(0, I), and predictions and updates by it.
+    """Product of Gauss-Hermite rules for N(0, I), with predictions and updates based on it.
 
     Attributes:
-        nodes: (S, D) nodes, the node of the largest weight first.
+        nodes: (S, D) nodes, the node with the largest weight first.
         weights: (S, 1) positive weights with sum 1.
     """
 
@@ -48,7 +48,7 @@ class HermiteRule(NamedTuple):
 
     @property
     def rounding(self) -> Rounding:
-        """No amplification: weights are positive, and covariances are never formed."""
+        """No amplification of rounding errors: weights are positive, and covariances are never formed."""
         return Rounding()
 
     def points(self, belief: Belief) -> Tensor:
@@ -113,7 +113,7 @@ class GaussHermiteFilter(GaussianFilter):
         gate: gate for improbable measurement rows, or None.
 
     Raises:
-        UserError: not an integer of at least 2.
+        UserError: `order` is not an integer of at least 2.
     """
 
     order: int = 3
@@ -133,7 +133,7 @@ class GaussHermiteFilter(GaussianFilter):
 
     @property
     def about(self) -> dict[str, Any]:
-        """Plain values that determine its estimates."""
+        """Plain values that determine the estimates."""
         return {**super().about, "order": self.order}
 
     def kernel(self, belief: Belief) -> HermiteRule:

@@ -73,9 +73,9 @@ def iterated_smoother(
     """Compute the beliefs given all measurements, relinearised until convergence.
 
     Args:
-        result: result of `unscented_filter` with `smoothing=True` from a belief, used as initial iterate.
-            Rows rejected by its gate stay rejected.
-        flow: process model; this and the following arguments as for the filter.
+        result: result of `unscented_filter` from a belief with `smoothing=True`, the initial iterate. Rows
+            rejected by its gate stay rejected.
+        flow: process model; this and the following arguments are those of the filter.
         measurements: (B, T, M), NaN where a component is missing.
         measurement: measurement model.
         process_noise: covariance Q of one step, or a function of its length.
@@ -164,7 +164,7 @@ def _chosen(better: Tensor, yes: SmootherResult, no: SmootherResult) -> Smoother
 
 
 def _spread(part: SmootherResult, rows: Tensor, whole: SmootherResult) -> SmootherResult:
-    """Return the moments of all members, with some of them replaced."""
+    """Return the moments of all members, with those of the members `rows` replaced."""
     initial = Belief(*(w.index_copy(0, rows, p) for w, p in zip(whole.initial, part.initial, strict=True)))
     means, chols = whole.means.index_copy(0, rows, part.means), whole.chols.index_copy(0, rows, part.chols)
     return whole._replace(initial=initial, means=means, chols=chols)

@@ -40,11 +40,12 @@ class CalledFlow:
         starts: times at which the steps begin.
         weights: sigma point weights.
         points: (B, S, D) sigma points before a step.
-        moved: (B, S, D) sigma points after it.
+        moved: (B, S, D) sigma points after the step.
 
     Attributes:
         left: (B, S, D) points that the library cannot use, such as those with a gradient.
-        interrupt: what ended a call other than an error of the flow, which a single step raises again.
+        interrupt: exception, such as KeyboardInterrupt, that ended a call; errors of the flow are not stored,
+            since a single step raises them again.
     """
 
     def __init__(
@@ -57,7 +58,7 @@ class CalledFlow:
 
     def __call__(self, about: int, count: int, x: int, dt: float, out: int) -> int:
         """Write the points after a step dt; return 0, or 1 if there are none."""
-        del about, count, x, out  # the same memory as the tensors
+        del about, count, x, out  # x and out are the memory of `points` and `moved`
         try:
             flow = at(self.flow, next(self.starts)) if self.timed else self.flow
             found = propagate(flow, self.points.clone(), dt)
@@ -79,12 +80,12 @@ class RunSteps(NamedTuple):
     Attributes:
         flow: the process model.
         starts: S times at which steps begin; not needed for a flow that does not depend on time.
-        lengths: (S,) their lengths.
+        lengths: (S,) step lengths.
         chol_q: (S or 1, B or 1, D, D) factors of the process noise.
         measured: S flags, whether a row is measured at the end of the step.
         rows: (K, B, M) rows without missing components.
         sensor: measurement model of the rows.
-        most: NIS above which a row needs a decision, whatever the gate.
+        most: NIS above which a row needs a decision, regardless of the gate.
     """
 
     flow: Flow
@@ -103,8 +104,7 @@ class DoneSteps(NamedTuple):
     Attributes:
         number: number n of steps.
         results: memory of `members.results`, of which the first n steps are valid.
-        points: (B, S, D) points after the flow of the first step that was not completed; None where they are
-            unknown.
+        points: (B, S, D) points after the flow of the first step that was not completed; None if unknown.
     """
 
     number: int

@@ -1,7 +1,7 @@
 """Square-root form in C, batched over members, with the same results as in torch, up to rounding.
 
-Used on the CPU without gradients. Between two calls of the flow torch executes about a hundred small
-operations dominated by overhead; here there are three or four.
+This form is used on the CPU without gradients. Between two calls of the flow, torch executes about a hundred
+small operations dominated by overhead; this form executes three or four.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def update(
 
 
 def read(prior: Belief, y: Tensor, chol_r: Tensor) -> Updated:
-    """Return the posterior given a row y (B, M) of the first M components of the state, NaN where missing."""
+    """Return the posterior given a row y (B, M) of the first M state components, NaN where missing."""
     y, mean = y.contiguous(), prior.mean.contiguous()
     (chol, step), (noise, noise_step) = _members(prior.chol), _members(chol_r)
     results = _results(prior, torch.empty_like(y))
@@ -122,7 +122,7 @@ def follow(
         half: (M,) half-periods of the components, inf for non-angles; larger residuals are wrapped.
         points: (B, 2 D + 1, D) sigma points before the steps, overwritten, and memory for those
             after the flow.
-        results: memory of `results`.
+        results: memory allocated by `results`.
     """
     (before, moved), done = points, ctypes.c_long(0)
     (batch, _, size), rows = before.shape, rows.contiguous()
@@ -169,7 +169,7 @@ def _call(name: str, *arguments: Tensor | float) -> bool:
     """Call a function of the library with the addresses of tensors; return whether all members are valid.
 
     Raises:
-        MemoryError: no memory for a block of members.
+        MemoryError: not enough memory for a block of members.
     """
     return _called(name, *(a.data_ptr() if isinstance(a, Tensor) else a for a in arguments)) == SOUND
 

@@ -13,8 +13,8 @@ from ahnn.estimation.results import Predicted, Updated
 class UnscentedParameters(NamedTuple):
     """Parameters of the scaled unscented transformation (Wan & van der Merwe 2000).
 
-    Each is a number, or a (B,) tensor with one value per member. The defaults give no negative weight; beta =
-    2 is optimal for Gaussian beliefs.
+    Each parameter is a number, or a (B,) tensor with one value per member. The defaults give no negative
+    weight; beta = 2 is optimal for Gaussian beliefs.
     """
 
     alpha: float | Tensor = 1.0
@@ -25,13 +25,13 @@ class UnscentedParameters(NamedTuple):
 class SigmaWeights(NamedTuple):
     """Weights of 2 D + 1 sigma points; tensors are float64 of shape (B or 1, 1, 1).
 
-    The last two fields rewrite the textbook covariance without its centre weight, which is negative for
-    small alpha. With deviations e_i from the image of the centre, and shift = outer * sum_i e_i,
+    `recentring` and `downdate` rewrite the textbook covariance without its centre weight, which is negative
+    for small alpha. With deviations e_i from the image of the centre, and shift = outer * sum_i e_i,
 
         sum_i Wc_i (Y_i - mean)(Y_i - mean)ᵀ
             = outer * sum_{i>0} (e_i - recentring * shift)(...)ᵀ - downdate * shift shiftᵀ
 
-    exactly, without any subtraction if alpha² kappa + D beta >= 0.
+    holds exactly, without any subtraction if alpha² kappa + D beta >= 0.
 
     Attributes:
         radius: sqrt(D + lambda), distance of the points, in standard deviations.

@@ -29,12 +29,12 @@ class UKFEvaluation(EstimatorEvaluation):
     """Unscented Kalman filter with the model as process model, and with the exact dynamics.
 
     Args:
-        cadence: this and arguments not listed here: see `EstimatorEvaluation`.
+        cadence: see `EstimatorEvaluation`, also for all arguments not listed here.
         alpha, beta, kappa: parameters of the sigma points.
         form: form of the covariance.
         smoother: whether to add the rows of the smoother; `iterated` also adds the rows of the iterated
             smoother.
-        tuning: options of `Tuning`, to add the rows of a tuned filter; None: no tuning.
+        tuning: options of `Tuning`, which adds the rows of a tuned filter; None for no tuning.
         name: name in tables and of the configuration node.
     """
 
@@ -89,7 +89,7 @@ class UKFEvaluation(EstimatorEvaluation):
             self.tuning = Tuning(**tuning)
 
     def require_constants(self, setting: Setting, steps: int, size: int) -> None:
-        """Check that sigma points exist, and that tuning uses some measurement."""
+        """Check that sigma points exist, and that tuning uses at least one measurement."""
         if self.tuning is not None and (self.tuning.steps or steps) < setting.first:
             first = f"{setting.first}, the step of the first measurement"
             message = f"tuning.steps: expected at least {first}; received {self.tuning.steps}"

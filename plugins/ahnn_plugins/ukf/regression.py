@@ -1,9 +1,9 @@
 """Statistical linear regression of a flow and of a measurement over Gaussian beliefs, by sigma points.
 
-Over x ~ N(mean, P) a function f is replaced by A x + b + noise of covariance Omega, with A = C P⁻¹ of the
-covariance C of f(x) and x, b and Omega such that mean and covariance of f(x) are preserved (Arasaratnam,
-Haykin & Elliott 2007). With sums and differences of opposite points no covariance is formed: the differences
-are the factor of P times Aᵀ, and the sums, even in the deviation, give the residual covariance.
+For x ~ N(mean, P), a function f is replaced by A x + b + noise of covariance Omega. Here A = C P⁻¹ with the
+covariance C of f(x) and x, while b and Omega preserve the mean and covariance of f(x) (Arasaratnam, Haykin &
+Elliott 2007). Sums and differences of opposite points make covariances unnecessary: the differences are the
+factor of P times Aᵀ, and the sums, even in the deviation, give the residual covariance.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class AffineModel(NamedTuple):
     Attributes:
         slope: (B, N, D) matrix A.
         offset: (B, N) vector b.
-        rest: (B, D, N) rows, the covariance of the noise is restᵀ rest.
+        rest: (B, D, N) rows; the noise covariance is restᵀ rest.
     """
 
     slope: Tensor
@@ -47,7 +47,7 @@ def regression_weights(
     """Return the weights of the sigma points for states of D components.
 
     Raises:
-        UserError: no sigma points, or negative weights, with which Omega could be indefinite.
+        UserError: no sigma points, or negative weights, for which Omega could be indefinite.
     """
     weights = unscented_weights(parameters, size, device)
     if weights.downdate is not None:
@@ -79,7 +79,7 @@ def regression(belief: Belief, centre: Tensor, outer: Tensor, weights: SigmaWeig
 def linear_flow(
     flow: Flow, dt: float, belief: Belief, weights: SigmaWeights, chol_q: Tensor
 ) -> tuple[Flow, Tensor]:
-    """Return the regression of a step of the flow, and the factor of its noise plus Q (B, D, D)."""
+    """Return the regression of a flow step, and the factor (B, D, D) of its noise covariance plus Q."""
     points = draw(belief, weights)
     images = flow(points.flatten(0, 1), dt).to(points.dtype).reshape(points.shape)
     affine = regression(belief, images[:, 0], images[:, 1:] - images[:, :1], weights)
@@ -91,7 +91,7 @@ def linear_flow(
 
 
 def linear_sensor(sensor: SensorModel, t: float, belief: Belief, weights: SigmaWeights) -> SensorModel:
-    """Return a sensor with the regression of a model at a given time, and its noise added to R."""
+    """Return a sensor with the regression of its model at time t, and the regression noise added to R."""
     images = sensor.measurement(draw(belief, weights), t)
     outer = residual(sensor.measurement, images[:, 1:], images[:, :1])
     affine = regression(belief, images[:, 0], outer, weights)

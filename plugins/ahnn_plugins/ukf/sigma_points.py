@@ -12,7 +12,7 @@ from ahnn_plugins.ukf import members
 from ahnn_plugins.ukf.parameters import SigmaWeights, UnscentedParameters
 
 CROWDED = 100.0
-"""Amplification of rounding, D / (D + lambda), above which it is monitored: alpha < 0.1 for kappa = 0."""
+"""Amplification D / (D + lambda) of rounding errors above which it is monitored: alpha < 0.1 if kappa = 0."""
 
 
 def unscented_weights(
@@ -78,7 +78,7 @@ def _check_total(total: Tensor, alpha: Tensor, kappa: Tensor, size: int) -> None
 
 
 def draw(belief: Belief, weights: SigmaWeights) -> Tensor:
-    """Return the sigma points (B, 2 D + 1, D): the mean, then mean + radius L_i, then mean - radius L_i."""
+    """Return the sigma points (B, 2 D + 1, D): mean, mean + radius L_i, mean - radius L_i; L = chol."""
     if members.apply_to(weights, *belief):
         return members.draw(belief, weights)
     centre = belief.mean.unsqueeze(1)

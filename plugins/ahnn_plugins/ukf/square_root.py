@@ -1,8 +1,9 @@
 """Square-root form: covariances are represented by triangular factors only.
 
-After van der Merwe & Wan 2001, with two changes for numerical robustness: the negative centre weight is
-absorbed into the deviations (see `Weights`), and the update triangularises state and measurement together, as
-in array filters (Kailath, Sayed & Hassibi 2000, chapter 12), instead of downdating column by column.
+The form follows van der Merwe & Wan 2001, with two changes for numerical robustness: the negative centre
+weight is absorbed into the deviations (`SigmaWeights`), and the update triangularises state and measurement
+together, as in array filters (Kailath, Sayed & Hassibi 2000, chapter 12), instead of downdating column by
+column.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ def update(
         outer = torch.where(column, outer, 0.0)
     shift = weights.outer * outer.sum(1, keepdim=True)
     y_pred = images[:, 0] + shift[:, 0]
-    # Missing components are filled in: a residual may mix components, and NaN would spoil its gradient.
+    # Missing components are filled in: a residual may mix components, and NaN would invalidate its gradient.
     innovation = residual(y if complete else torch.where(present, y, y_pred), y_pred)
     if not complete:
         innovation = torch.where(present, innovation, 0.0)
@@ -71,16 +72,16 @@ def update(
 
 
 def read(prior: Belief, y: Tensor, weights: SigmaWeights, chol_r: Tensor) -> Updated | None:
-    """Return the posterior given the first components of the state, without using sigma points.
+    """Return the posterior given a measurement of the first state components, without sigma points.
 
     Args:
         prior: prior belief.
         y: (B, M), NaN where missing.
-        weights: sigma point weights for `update`.
+        weights: weights of the sigma points that `update` would use.
         chol_r: (B, M, M) lower factor of the measurement noise.
 
     Returns:
-        None if not supported by the library.
+        None if the library does not support the update.
     """
     if weights.crowding is not None or y.shape[-1] > prior.mean.shape[-1]:
         return None
@@ -103,7 +104,7 @@ def joint_factor(
         shift: (B, 1, N) mean of the image minus the image of the centre.
         chol: (B, D, D) lower factor of the state from which the points were drawn.
         weights: sigma point weights.
-        noise_rows: (B, K, N), noise covariance = noise_rowsᵀ noise_rows.
+        noise_rows: (B, K, N); the noise covariance is noise_rowsᵀ noise_rows.
 
     Returns:
         The factor, and repaired members, (B,) bool, or None.
@@ -117,7 +118,7 @@ def joint_factor(
 
 
 def _lowered(chol: Tensor, shift: Tensor, weights: SigmaWeights) -> tuple[Tensor, Tensor | None]:
-    """Subtract the remainder of negative weights; if impossible, omit it and report a repair.
+    """Subtract the remaining negative term; if this is impossible, omit the term and report a repair.
 
     If a variance would not be positive, the factor is zero and no repair is reported, as in the standard
     form.

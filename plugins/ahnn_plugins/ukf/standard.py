@@ -1,7 +1,7 @@
 """Standard form: explicit covariances, as in the textbook (Wan & van der Merwe 2000, algorithm 3.1).
 
-For reference and teaching. A covariance that is no longer positive definite is repaired, and the repair is
-reported for its member. A variance that is not positive cannot be repaired: the member collapses.
+This form is for reference and teaching. A covariance that is no longer positive definite is repaired, and the
+repair is reported for its member. A variance that is not positive cannot be repaired: the member collapses.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ def predict(propagated: Tensor, weights: SigmaWeights, chol_q: Tensor) -> Predic
 def update(
     prior: Belief, images: Tensor, y: Tensor, residual: Residual, weights: SigmaWeights, chol_r: Tensor
 ) -> Updated:
-    """Return the posterior given the components of y that are not NaN; arguments as in the other form."""
+    """Return the posterior given the components of y that are not NaN; arguments as in `square_root`."""
     present = ~torch.isnan(y)
     outer = torch.where(present.unsqueeze(1), residual(images[:, 1:], images[:, :1]), 0.0)
     y_pred, deviations = _centred(outer, images[:, 0], weights)
-    # Missing components are filled in: a residual may mix components, and NaN would spoil its gradient.
+    # Missing components are filled in: a residual may mix components, and NaN would invalidate its gradient.
     innovation = torch.where(present, residual(torch.where(present, y, y_pred), y_pred), 0.0)
     pairs = present.unsqueeze(-1) & present.unsqueeze(-2)
     noise = torch.where(pairs, chol_r @ chol_r.mT, torch.diag_embed((~present).to(y.dtype)))
@@ -49,7 +49,7 @@ def update(
     spread = weights.radius * prior.chol.mT
     state = torch.cat((torch.zeros_like(spread[:, :1]), spread, -spread), dim=1)
     cross = _second_moment(state, deviations, weights)
-    # gain chol_y, so that gain P_yy gainᵀ is its product with its own transpose.
+    # whitened = gain chol_y, so that gain P_yy gainᵀ = whitened whitenedᵀ.
     whitened = torch.linalg.solve_triangular(chol_y.mT, cross, upper=True, left=False)
     white = torch.linalg.solve_triangular(chol_y, innovation.unsqueeze(-1), upper=False)
     mean = prior.mean + (whitened @ white).squeeze(-1)

@@ -1,7 +1,7 @@
-"""Tuning of a filter as in the paper: search of constants for the smallest error on validation arcs.
+"""Tuning of a filter as in the paper: search for the constants with the smallest error on validation arcs.
 
-Tree-structured Parzen estimator over alpha, beta, kappa and one factor each for Q and R. Trials are requested
-in batches, with a constant liar for pending results, and filtered as one batch.
+A tree-structured Parzen estimator searches alpha, beta, kappa and one factor each for Q and R. Trials are
+requested in batches, with a constant liar for pending results, and filtered as one batch.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ LOGARITHMIC = ("alpha", "scale_q", "scale_r")
 
 Factors = Annotated[tuple[float, float] | list[float], Interval(Within(above=0))]
 LOST = 1e12
-"""Objective of a trial with a failed member: finite, so that the sampler learns from it."""
+"""Objective of a trial with a failed member: finite, so that the sampler can use it."""
 
 
 class Ranges(NamedTuple):
@@ -59,7 +59,7 @@ class Tuning:
         ranges: [low, high] of each tuned constant; all other constants are fixed.
         trials: number of filters tried.
         trajectories: number of validation trajectories, with one arc each.
-        steps: number of steps per arc; None: full trajectories.
+        steps: number of steps per arc; None for full trajectories.
         batch: number of trials filtered together.
         seed: seed of the sampler.
     """
@@ -100,7 +100,7 @@ class Tuned(NamedTuple):
 
 
 def tune(chosen: Filter, setting: Setting, problem: Problem, options: Tuning) -> Tuned:
-    """Search the constants of a filter, starting from its own.
+    """Search for the best constants of a filter, starting from its own.
 
     Args:
         chosen: filter with its untuned constants.
@@ -123,7 +123,7 @@ def tune(chosen: Filter, setting: Setting, problem: Problem, options: Tuning) ->
 
 
 def points_of(chosen: Filter) -> UnscentedKalmanFilter:
-    """Return the estimator of a filter, with the sigma points to be searched."""
+    """Return the estimator of a filter, whose sigma points are tuned."""
     return cast(UnscentedKalmanFilter, chosen.estimator)
 
 
@@ -207,7 +207,7 @@ def _stored(path: Path) -> dict[str, Any]:
 
 
 def _recipe(chosen: Filter, setting: Setting, problem: Problem, options: Tuning) -> dict[str, Any]:
-    """Return the definition of a search as plain values; the flow is identified by its effect on a state."""
+    """Return the definition of a search as plain values; images of states identify the flow."""
     with torch.no_grad():
         image = at(problem.driven(chosen.flow), 0.0)(problem.truth[:, 0], problem.dt)
     tensors = {

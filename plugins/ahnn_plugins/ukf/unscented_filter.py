@@ -68,7 +68,7 @@ class UnscentedKalmanFilter(GaussianFilter):
 
     @property
     def about(self) -> dict[str, Any]:
-        """Plain values that determine its estimates."""
+        """Plain values that determine the estimates."""
         parameters = [float(value) for value in self.parameters]
         return {"parameters": parameters, "form": self.form.name, "gate": self.gate}
 
@@ -103,7 +103,7 @@ class UnscentedKalmanFilter(GaussianFilter):
 
 @cache
 def _weights_of_numbers(parameters: UnscentedParameters, size: int, device: torch.device) -> SigmaWeights:
-    # Cached tensors must support gradients, whatever the mode of the first request.
+    # Cached tensors must support gradients, regardless of the mode of the first request.
     with torch.inference_mode(mode=False), torch.no_grad():
         return unscented_weights(parameters, size, device)
 
@@ -142,7 +142,7 @@ def unscented_filter(
         gradients: whether to keep the graph.
 
     Raises:
-        ValueError: the errors of `GaussianFilter.run`, or parameters without sigma points.
+        ValueError: the same errors as `GaussianFilter.run`, or parameters without sigma points.
     """
     estimator = UnscentedKalmanFilter(parameters or DEFAULTS, form, gate)
     rows = measurements, measurement, process_noise, measurement_noise, dt

@@ -19,7 +19,7 @@ from ahnn_plugins.ukf.sigma_points import draw
 from ahnn_plugins.ukf.unscented_smoother import backward_kernel
 
 READINGS = (Position, State)
-"""Models of the first state components; derived classes may behave differently."""
+"""Measurement models of the first state components; subclasses may behave differently."""
 
 
 class SigmaPoints(NamedTuple):
@@ -40,7 +40,7 @@ class SigmaPoints(NamedTuple):
 
     @property
     def rounding(self) -> Rounding:
-        """Amplification by closely spaced points and explicit covariances."""
+        """Amplification of rounding errors by closely spaced points and explicit covariances."""
         return Rounding(self.weights.crowding, self.form.squares, self.weights.downdate is not None)
 
     def predict(

@@ -20,7 +20,7 @@ def backward_kernel(
 
     Args:
         propagated: (B, S, D) sigma points after the flow.
-        chol: (B, D, D) factor from which they were drawn.
+        chol: (B, D, D) factor from which the points were drawn.
         weights: sigma point weights.
         chol_q: (B, D, D) factor of the process noise.
 

@@ -1,8 +1,8 @@
 """Fused filter steps in one library call, for steps without decisions.
 
-If complete rows of the first state components are measured and accepted by all members, only flow,
-prediction, posterior and sigma points are needed. The same functions are used as for single steps: results
-are bitwise identical.
+If rows of the first state components are complete and accepted by all members, only flow, prediction,
+posterior and sigma points are needed. The same functions are used as for single steps, so results are
+bitwise identical.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from ahnn_plugins.ukf.library_runs import RunSteps, done_steps, supported
 from ahnn_plugins.ukf.unscented_kernel import SigmaPoints
 
 FIRST, MOST = 32, 256
-"""Fewest steps of the first library call, and most steps of one."""
+"""Minimum number of steps in the first library call, and maximum in any call."""
 ROWS = 4096
-"""Rows of all members in the first library call; after a call without a decision twice as many steps."""
+"""Rows of all members in the first library call; each call without a decision doubles the steps."""
 
 
 class WholeSteps:
@@ -30,7 +30,7 @@ class WholeSteps:
     Args:
         plan: the run.
         kernel: kernel for the other steps.
-        smoothing: whether to keep the laws of a smoother, unsupported by fused steps.
+        smoothing: whether to keep the laws of a smoother, which fused steps do not support.
     """
 
     def __init__(self, plan: RunPlan, kernel: SigmaPoints, *, smoothing: bool = False) -> None:
@@ -45,7 +45,7 @@ class WholeSteps:
     def __call__(
         self, k: int, state: FilterState, row: Tensor | None, model: StepModel, length: float, time: Tensor
     ) -> tuple[FilterState, StepRecord]:
-        """Return the state after step k, or after several if they are whole, and the record."""
+        """Return the state after step k, or after several fused steps, and the record."""
         done = self.steps(k, state, model)
         if done is None:
             points, self.points = self.points, None
@@ -54,10 +54,10 @@ class WholeSteps:
         return done
 
     def steps(self, k: int, state: FilterState, model: StepModel) -> tuple[FilterState, StepRecord] | None:
-        """Return the state after step k and the whole steps that follow it, and the record.
+        """Return the state after step k and the fused steps that follow it, and the record.
 
         Returns:
-            None if step k is unsupported by the library, or some result is invalid.
+            None if the library does not support step k or cannot complete it.
         """
         given = self.kernel, model.sensor, model.chol_q, self.rows
         if not self.possible[k] or not supported(state, *given):

@@ -30,7 +30,7 @@ def write_best(study: optuna.Study, sweep_dir: Path, config_loader: ConfigLoader
         groups: the configuration groups of the application.
 
     Returns:
-        The file.
+        The path of the file.
     """
     best = study.best_trial
     text = best_yaml(list(best.user_attrs["overrides"]), config_loader, groups)

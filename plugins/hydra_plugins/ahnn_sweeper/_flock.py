@@ -1,7 +1,7 @@
 """Journal file lock that is released when its holder dies.
 
 Optuna's own lock is a symbolic link; a process killed while it holds one blocks all other processes for a
-grace period of 30 s. The operating system releases this one immediately.
+grace period of 30 s. The operating system releases this lock immediately.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Commands as forks of a process with common imports, equivalent to a fresh start.
+"""Commands run in forks of a process with common imports, which is equivalent to a fresh start.
 
-The server belongs to `multiprocessing`; it forks while single-threaded (Windows has none: there each job
-starts afresh). It ignores signals that a scheduler
-sends to all processes, so that it lives until its jobs have ended and their exit codes are known.
+The fork server belongs to `multiprocessing` and forks while it has a single thread. Windows has no fork
+server: there each job starts afresh. The server ignores signals that a scheduler sends to all processes, so
+that it lives until its jobs have ended and their exit codes are known.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if sys.platform == "win32":
 else:
     _context = multiprocessing.get_context("forkserver")
 _one_thread = threading.Lock()
-"""Starting a process reaps all processes: it must not read the exit code awaited by another thread."""
+"""Lock, since starting a process reaps ended processes, including one that another thread waits for."""
 
 
 def serve(imports: Sequence[str]) -> None:
@@ -41,7 +41,7 @@ def start(program: str, arguments: list[str], log: Path, *, bound: bool = False)
         program: module name, as for `python -m`, or path of a script.
         arguments: command line arguments.
         log: file for standard output and standard error.
-        bound: whether the command is killed when this process ends, and its output added to the file.
+        bound: whether the command is killed when this process ends, and its output is appended to the file.
     """
     process = _context.Process(target=_run, args=(program, arguments, str(log), bound))
     with _one_thread:

@@ -1,4 +1,4 @@
-"""Signals ignored by the server of `_forked` after its import; its jobs restore the handlers."""
+"""Signals that the server of `_forked` ignores after this import; its jobs restore the handlers."""
 
 import signal
 

@@ -1,9 +1,8 @@
 """Bookkeeping of trials: allotment, counting, and retry of orphans.
 
-An orphan is a RUNNING trial whose process is gone. It becomes FAIL and its parameters are enqueued again,
-marked `retry_of`; the retry replaces it. A trial is retried until its job has started twice.
-Every step may be interrupted by a kill and is completed, never repeated, by the next worker that holds the
-lock.
+An orphan is a RUNNING trial whose process is gone. It is set to FAIL and its parameters are enqueued again,
+marked `retry_of`; the retry replaces it. A trial is retried until its job has started twice. If a kill
+interrupts a step, the next worker that holds the lock completes it and never repeats it.
 """
 
 from __future__ import annotations
@@ -76,9 +75,9 @@ def allot(
 
     Args:
         study: the study.
-        url: its resolved storage.
+        url: resolved URL of its storage.
         space: parameters and their distributions.
-        sampler_for: sampler for the trial of a given number.
+        sampler_for: function from a trial number to the sampler of the trial.
         total: total number of trials of the study.
         limit: maximum number of trials to allot.
 
@@ -103,17 +102,17 @@ def allot(
 def _next_number(trials: Sequence[FrozenTrial]) -> int:
     """Return the number of the next trial of the study: the first waiting one, or a new one.
 
-    A retry of an orphan that was interrupted before it had parameters draws them: its number is its seed.
+    A retry of an orphan without parameters draws them, with its own number added to the seed.
     """
     return min((trial.number for trial in trials if trial.state.name == "WAITING"), default=len(trials))
 
 
 def settle(study: optuna.Study, url: str, numbers: Sequence[int], all_ended: bool) -> None:
-    """Requeue launched trials whose job was killed without reporting.
+    """Requeue launched trials whose jobs were killed before they reported.
 
     Args:
         study: the study.
-        url: its resolved storage.
+        url: resolved URL of its storage.
         numbers: the launched trials.
         all_ended: whether the launcher waited for all jobs. If not, those still running elsewhere (a cluster
             continues other jobs when one dies) report by themselves.
@@ -136,8 +135,8 @@ def _recover(study: optuna.Study) -> None:
 def _put_back(study: optuna.Study, trial: FrozenTrial) -> None:
     """Mark an orphan as FAIL, and enqueue its parameters again if its job may be started once more.
 
-    The retry is enqueued first: a kill between the two steps then leaves an orphan that has its retry
-    already.
+    The retry is enqueued first, so that a kill between the two steps leaves an orphan that already has its
+    retry.
     """
     from optuna.trial import TrialState
 

@@ -1,10 +1,10 @@
 """Ownership of trials, and liveness of their processes.
 
 A trial records the process that requested it (`asked_by`) and, once its job has started, the process of the
-job (`run_by`), each as host, process id and start time. On the same host the process table answers
-immediately, and a reused process id is recognised by its start time. For other hosts, and on Windows, a lease
-is used: the owner writes the time (`lease`) every `RENEW` seconds, and a lease older than `EXPIRY` means that
-it has died. Clocks of machines must therefore agree to within a minute.
+job (`run_by`), each as host, process id and start time. On the same host the process table shows whether the
+process exists, and its start time reveals a reused process id. For other hosts, and on Windows, a lease is
+used: the owner writes the time (`lease`) every `RENEW` seconds, and a lease older than `EXPIRY` means that
+the owner has died. The clocks of all machines must therefore agree to within a minute.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def _start_time(pid: int) -> str:
 
 
 def _signalled(pid: int) -> str:
-    """Return `alive` or nothing, on systems without /proc; nothing on Windows, where signal 0 interrupts."""
+    """Return `alive` or "", on systems without /proc; always "" on Windows, where signal 0 interrupts."""
     if sys.platform == "win32":
         return ""
     try:

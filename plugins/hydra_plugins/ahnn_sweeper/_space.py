@@ -109,7 +109,7 @@ def _range(key: str, sweep: RangeSweep) -> BaseDistribution:
 
 
 def _choice(override: Override) -> tuple[BaseDistribution, list[str]]:
-    """Return a categorical distribution and its choices as text, as which Optuna sees a list or dict."""
+    """Return a categorical distribution and its choices as text; Optuna gets lists and dicts as text."""
     from optuna.distributions import CategoricalDistribution
 
     values = list(override.sweep_iterator())

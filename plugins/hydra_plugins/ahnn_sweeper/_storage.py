@@ -1,11 +1,10 @@
-"""Storage of a study: a journal file, SQLite, PostgreSQL or a proxy of Optuna; with one lock per storage.
+"""Storage of a study: a journal file, SQLite, PostgreSQL or Optuna's proxy, with one lock per storage.
 
 The lock makes the creation of a study and the allotment of trials atomic over all processes and machines:
 without it, two processes that create the same empty database crash (SQLite "table already exists", PostgreSQL
-UniqueViolation) and workers overshoot the number of trials. The operating system or the server releases it
-when its holder is killed. A proxy (`optuna.storages.run_grpc_proxy_server`) has no locks, but it
-numbers trials: there the lock is a queue of trials in a separate study, and a killed process leaves an
-orphan.
+UniqueViolation) and workers overshoot the number of trials. The operating system or the server releases the
+lock when its holder is killed. A proxy (`optuna.storages.run_grpc_proxy_server`) has no locks, but it numbers
+trials: its lock is a queue of trials in a separate study, in which a killed process leaves an orphan.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ def resolved(url: str) -> str:
     """Return the URL with an absolute path, because jobs may run in another working directory.
 
     Raises:
-        UserError: for a scheme that is not journal, sqlite, postgresql or grpc, or a proxy without its port.
+        UserError: for a scheme other than journal, sqlite, postgresql or grpc, or a proxy without a port.
     """
     for scheme in (JOURNAL, SQLITE):
         if url.startswith(scheme):
@@ -143,7 +142,7 @@ def _has_port(url: str) -> bool:
 
 @contextmanager
 def _queued(storage: optuna.storages.BaseStorage) -> Iterator[None]:
-    """Hold the lock of a proxy, in the order in which trials of the queue were numbered."""
+    """Hold the lock of a proxy, which is granted in the order of the trial numbers in the queue."""
     from optuna.exceptions import DuplicatedStudyError, UpdateFinishedTrialError
     from optuna.study import StudyDirection
     from optuna.trial import TrialState, create_trial
@@ -174,7 +173,7 @@ def _waiting(storage: optuna.storages.BaseStorage, queue: int) -> list[optuna.tr
 
 @contextmanager
 def _advisory_lock(url: str) -> Iterator[None]:
-    """Hold PostgreSQL's advisory lock; released with the connection, also if this process is killed."""
+    """Hold PostgreSQL's advisory lock, released with the connection even if this process is killed."""
     from sqlalchemy import NullPool, create_engine, text
 
     engine = create_engine(url, poolclass=NullPool, isolation_level="AUTOCOMMIT")

@@ -24,7 +24,7 @@ def url(storage: str | None, sweep_dir: Path) -> str:
 def open_study(
     storage: str, name: str, direction: Literal["minimize", "maximize"], fixed: list[str]
 ) -> optuna.Study:
-    """Create the study, or continue it if it is the study of the same sweep.
+    """Create the study, or continue an existing study of the same sweep.
 
     Args:
         storage: resolved URL.
@@ -60,8 +60,8 @@ def open_study(
 def sampler(config: DictConfig, number: int) -> optuna.samplers.BaseSampler:
     """Return the sampler of one trial.
 
-    A sampler restarted with the same seed would draw the same random trials again, and so would each worker:
-    the number of the trial is added to the seed. Quasi-random sequences are an exception, since all members
+    A sampler restarted with the same seed would draw the same random trials again, and so would each worker.
+    The number of the trial is therefore added to the seed, except for quasi-random sequences, whose members
     must share the seed.
     """
     from optuna.exceptions import ExperimentalWarning

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 MARK = Path(".hydra", "pruned")
-"""File in the folder of a pruned job, for the table of the sweep."""
+"""File that marks the folder of a pruned job, for the table of the sweep."""
 
 
 def load_trial(storage: str, study_name: str, trial_id: int) -> optuna.Trial:
@@ -45,8 +45,8 @@ def load_trial(storage: str, study_name: str, trial_id: int) -> optuna.Trial:
 class TrialCallback(Callback):
     """Hydra callback that claims the trial at the start of a job and reports its outcome at the end.
 
-    It runs in the process of the job, whatever the launcher, so that outcomes are stored immediately and
-    survive the death of the sweep. Jobs without a trial are ignored.
+    It runs in the process of the job, with any launcher, so that outcomes are stored immediately and are not
+    lost if the sweep is killed. Jobs without a trial are ignored.
     """
 
     def __init__(self) -> None:
@@ -54,7 +54,7 @@ class TrialCallback(Callback):
         self._lease: Lease | None = None
 
     def on_job_start(self, config: DictConfig, **kwargs: Any) -> None:  # noqa: ARG002
-        """Claim the trial: it is now alive as long as this process."""
+        """Claim the trial, which is now alive as long as this process."""
         node = config.get("trial")
         if node is None or not _speaks():
             return
@@ -90,12 +90,12 @@ def _tell_value(trial: optuna.Trial, value: Any) -> None:
 
 
 def _speaks() -> bool:
-    """Return whether this process is the first of its job; of several devices, only the first has a trial."""
+    """Return whether this is the first process of its job; on several devices, only this one has a trial."""
     return all(os.environ.get(name, "0") == "0" for name in ("LOCAL_RANK", "RANK", "SLURM_PROCID"))
 
 
 def _forgive_pruning(job_return: JobReturn) -> bool:
-    """Return whether a job was pruned; to Hydra, pruned is complete."""
+    """Return whether a job was pruned; Hydra then counts it as complete."""
     import optuna
 
     if not isinstance(job_return._return_value, optuna.TrialPruned):
@@ -105,13 +105,13 @@ def _forgive_pruning(job_return: JobReturn) -> bool:
 
 
 def _mark(folder: Path) -> None:
-    """Mark the folder of a pruned job, unless its configuration has no folder."""
+    """Mark the folder of a pruned job, unless it has no folder `.hydra`."""
     with suppress(OSError):
         (folder / MARK).touch()
 
 
 def _tell_exception(trial: optuna.Trial, job_return: JobReturn) -> bool:
-    """Store a pruned trial as PRUNED, any other exception as FAIL; return whether it was pruned."""
+    """Store pruning as PRUNED and any other exception as FAIL; return whether the trial was pruned."""
     import optuna
 
     error = job_return._return_value

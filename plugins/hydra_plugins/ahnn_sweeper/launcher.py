@@ -1,9 +1,9 @@
 """The launcher of `hydra/launcher=ahnn_process`: each job in a separate process.
 
 Hydra's basic launcher runs the jobs inside the sweep, so that a job killed for lack of memory ends the sweep;
-joblib stops all jobs when one of its workers dies. Here a job is the user's own command as a single run, in a
-fork of a process with the common imports: a killed job is one failed job, and Lightning's DDP, which starts
-its other processes by repeating the command, repeats the right one.
+joblib stops all jobs when one of its workers dies. Here each job runs the user's command as a single run, in
+a fork of a process with the common imports. A killed job is then only one failed job, and Lightning's DDP,
+which starts its other processes by repeating the command, repeats the right one.
 
 Hydra executes this module outside `sys.modules`: do not combine postponed annotations with dataclasses.
 """
@@ -90,7 +90,7 @@ class ProcessLauncher(Launcher):
             HydraConfig.instance().cfg = before
 
     def _run(self, number: int, overrides: Sequence[str], folder: Path) -> JobReturn:
-        """Run one job and return how it ended."""
+        """Run one job and return its outcome."""
         folder.mkdir(parents=True, exist_ok=True)
         logger.info("\t#%d : %s", number, " ".join(filter_overrides(overrides)))
         begin = time.monotonic()
@@ -109,12 +109,12 @@ class ProcessLauncher(Launcher):
         return job
 
     def _stop(self) -> None:
-        """Terminate the jobs that run."""
+        """Terminate the running jobs."""
         for process in list(self._running):
             process.terminate()
 
     def _exit_code(self, arguments: list[str], log: Path) -> int:
-        """Run a command to its end and return its exit code, or the negative number of its signal."""
+        """Run a command to its end and return its exit code, or the negative number of the signal."""
         process = _forked.start(program(), arguments, log)
         self._running.add(process)
         if self._ended:  # the sweep was interrupted during the start
@@ -124,7 +124,7 @@ class ProcessLauncher(Launcher):
         return code
 
     def _arguments(self, number: int, overrides: Sequence[str], folder: Path) -> list[str]:
-        """Return the arguments of this sweep's command as a single run of one job."""
+        """Return the arguments of the command that runs one job of this sweep as a single run."""
         assert self.config is not None
         flags = []
         args = _hydra_arguments()

@@ -1,8 +1,8 @@
-"""The launcher of `hydra/launcher=ahnn_ray`: each job in a process of its own, started by a task of Ray.
+"""The launcher of `hydra/launcher=ahnn_ray`: each job in a separate process, started by a Ray task.
 
 If the worker of a job is killed, the job ends with it. A job of a search is then a failed trial, which the
-search repeats; any other begins again in another worker, from its last checkpoint, in the same folder, which
-all machines can access.
+search repeats. Any other job restarts in another worker from its last checkpoint, in the same folder, which
+all machines must be able to access.
 
 Hydra executes this module outside `sys.modules`: do not combine postponed annotations with dataclasses.
 """
@@ -22,13 +22,13 @@ from hydra_plugins.ahnn_sweeper.launcher import ProcessLauncher, program
 
 
 class RayLauncher(ProcessLauncher):
-    """Run every job as a task of Ray.
+    """Run every job as a Ray task.
 
     Args:
         n_jobs: number of jobs given to Ray together; they run in parallel if Ray has enough processors.
         cpus: number of processors of a job.
         gpus: number of GPUs of a job, or a fraction of one.
-        retries: how often a job outside a search begins again if its worker is killed.
+        retries: number of restarts of a job outside a search whose worker is killed.
         init: arguments of `ray.init`, such as `address`.
         imports: modules imported once for all jobs of a worker.
     """

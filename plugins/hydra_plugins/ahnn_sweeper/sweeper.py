@@ -1,7 +1,7 @@
 """Sweeper instantiated by Hydra for `hydra/sweeper=ahnn_optuna`.
 
 Hydra executes this module outside `sys.modules`, so it must not combine postponed annotations with
-dataclasses, and it imports Optuna inside functions because every start of every Hydra application imports it.
+dataclasses. It imports Optuna inside functions, since every Hydra application imports this module at start.
 """
 
 import copy
@@ -33,19 +33,19 @@ _IN_PROCESS = ("BasicLauncher", "JoblibLauncher", "LocalLauncher")
 
 
 class AhnnOptunaSweeper(Sweeper):
-    """Search with Optuna: every job is a trial, the study can be continued and shared.
+    """Search with Optuna: every job is a trial, and the study can be continued and shared.
 
     Args:
         study_name: name of the study in its storage.
         storage: `journal:///PATH`, `sqlite:///PATH`, `postgresql+psycopg://HOST/DATABASE` or
-            `grpc://HOST:PORT`, a proxy of Optuna; null for a journal file in the sweep folder.
+            `grpc://HOST:PORT`, Optuna's proxy; null for a journal file in the sweep folder.
         direction: `minimize` or `maximize` the value that the job returns.
-        n_trials: final number of trials of the study, over all starts and machines.
+        n_trials: total number of trials of the study, over all runs and machines.
         batch_size: number of trials passed to the launcher together.
         sampler: configuration of an Optuna sampler. A seed in it is combined with the number of each trial,
             so that continued studies and parallel workers draw different parameters.
         params: search space, key to sweep in Hydra's grammar; see `_space`.
-        below: for each pair key: other, `key` is set to half of `other` if drawn equal or larger.
+        below: for each pair `key: other`, `key` is set to half of `other` if its draw is equal or larger.
     """
 
     def __init__(
@@ -85,8 +85,8 @@ class AhnnOptunaSweeper(Sweeper):
         """Run trials until the study has `n_trials`, then write the results.
 
         Raises:
-            HydraException: invalid search space, storage or study, and at the end, if a trial failed for a
-                reason other than pruning. Hydra shows it as a message without a traceback, exit code 1.
+            HydraException: invalid search space, storage or study or, at the end, a trial that failed for a
+                reason other than pruning. Hydra shows a message without a traceback; the exit code is 1.
             Stopped: on a signal; the message explains how the search continues.
         """
         try:
@@ -117,7 +117,7 @@ class AhnnOptunaSweeper(Sweeper):
         )
 
     def _space(self, arguments: Sequence[str]) -> "SearchSpace":
-        """Return the search space, after one draw has been composed as a test for wrong keys."""
+        """Return the search space, after composing one draw to detect wrong keys."""
         import optuna
 
         from hydra_plugins.ahnn_sweeper import _space
@@ -142,7 +142,7 @@ class AhnnOptunaSweeper(Sweeper):
         return space
 
     def _check(self, job: DictConfig) -> None:
-        """Validate a job by the task's attribute `check`, unless jobs run on other machines."""
+        """Validate a job with the task's attribute `check`, unless jobs run on other machines."""
         assert self.config is not None
         check = getattr(self.task_function, "check", None)
         if check is None or "submitit" in str(self.config.hydra.launcher.get("_target_")):
@@ -199,7 +199,7 @@ class AhnnOptunaSweeper(Sweeper):
     def _launch(
         self, study: "optuna.Study", url: str, space: "SearchSpace", batch: "list[optuna.Trial]"
     ) -> None:
-        """Launch one batch; in any case each of its trials is finished or requeued afterwards."""
+        """Launch one batch; afterwards, each of its trials is finished or requeued in any case."""
         from hydra_plugins.ahnn_sweeper import _ledger
         from hydra_plugins.ahnn_sweeper._owner import Lease
 
@@ -232,7 +232,7 @@ class AhnnOptunaSweeper(Sweeper):
 def _kept_below(params: Mapping[str, Any], below: Mapping[Any, Any]) -> dict[str, Any]:
     """Return the parameters with each key of `below` less than its counterpart, if both are searched.
 
-    The study keeps the drawn value: the sampler learns that all draws above the limit are equivalent.
+    The study keeps the drawn value, so that all draws above the limit have the same outcome.
     """
     used = dict(params)
     for key, other in below.items():

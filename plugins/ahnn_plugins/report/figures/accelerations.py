@@ -13,7 +13,7 @@ from ahnn_plugins.report.drawing import Drawing, Panel
 from ahnn_plugins.report.figures.curves import curve
 
 ALTITUDE, ECCENTRICITY, INCLINATION = 550.0, 0.75, 63.4
-"""Reference orbit: periapsis altitude in km, and angles in degrees. Node at 0, periapsis at 270."""
+"""Reference orbit: periapsis altitude in km, eccentricity, inclination in degrees; node 0, periapsis 270."""
 SAMPLES = 721
 
 

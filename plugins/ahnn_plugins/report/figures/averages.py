@@ -26,14 +26,14 @@ PAPER = {
 def average_drawings(task: Task) -> list[Drawing]:
     """Plot moving averages of errors from every start, with and without a filter, also by component.
 
-    For a single run the unsmoothed errors are also shown.
+    For a single run, the unsmoothed errors are also plotted.
     """
     found = []
     for prefix in ("", "ukf/"):
         for start in STARTS:
             if any(f"{prefix}{start}" in run.rms for run in task.drawn):
                 found.append(_norms(task, prefix, start))
-                # The paper shows only components of the orbit, from one start.
+                # The paper shows components only for the orbit, from one start.
                 if task.lead.space.dof > 1 and start == ("perturbed" if prefix else "true"):
                     found.append(_components(task, prefix, start))
     runs = [run for runs in task.models.values() for run in runs]
@@ -81,7 +81,7 @@ def _filled(panels: list[Panel]) -> list[Panel]:
 
 
 def smoothed(series: Tensor) -> Tensor:
-    """Return the mean of the last 240 values, (T,) (paper, appendix)."""
+    """Return the moving mean over the last 240 values, (T,) (paper, appendix)."""
     return moving_average(series, SMOOTHING)
 
 

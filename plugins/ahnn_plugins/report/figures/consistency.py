@@ -12,7 +12,7 @@ from ahnn_plugins.report.figures.task import Task, over_seeds, time_label
 
 
 def consistency_drawings(task: Task) -> list[Drawing]:
-    """Plot the NEES from every start of a filter, in stacked panels."""
+    """Plot the NEES of the filters from every start, in stacked panels."""
     starts = [start for start in STARTS if any(start in run.nees for run in task.drawn)]
     if not starts:
         return []

@@ -47,16 +47,16 @@ def path(
 
 
 def drawable(values: Tensor, *, log: bool = False) -> Tensor:
-    """Return values with NaN for those not drawable on an axis."""
+    """Return values with NaN in place of those that an axis cannot show."""
     there = values.abs() < LOST
     return values.masked_fill(~(there & (values > 0) if log else there), torch.nan)
 
 
 def cut(points: Tensor, truth: Tensor, times: float = 3.0) -> Tensor:
-    """Return points (T, n) with NaN from where they first diverge far from the truth.
+    """Return points (T, n) with NaN from the first one far from the truth.
 
-    The limit is `times` the greatest extent of the truth, from its centre, so that a diverged prediction does
-    not shrink all other curves to a dot.
+    The limit is `times` the extent of the truth in each coordinate, from its centre, so that a diverged
+    prediction does not shrink all other curves to a dot. With missing points, only distant ones become NaN.
     """
     known = truth[truth.isfinite().all(-1)]
     if not len(known):

@@ -51,6 +51,6 @@ def _options(path: Path) -> dict[str, Any]:
 
 
 def _is_plain(value: Any) -> bool:
-    """Return whether a value is one number or text, or a list of them: nested values are unbounded."""
+    """Return whether a value is one number or text, or a list of them; deeper nesting could be unbounded."""
     items = value if isinstance(value, list) else [value]
     return all(item is None or isinstance(item, str | bool | int | float) for item in items)

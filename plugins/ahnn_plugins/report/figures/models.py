@@ -11,7 +11,7 @@ from ahnn_plugins.report.collection import Collection, Entry
 ORDER = ("MLP", "NODE", "HNN", "AHNN3", "AHNN5")
 """Models of the paper, as named in its tables."""
 SLOTS = {name: slot for slot, name in enumerate(reversed(ORDER))}
-"""First slot: AHNN5, proposed by the paper."""
+"""The first slot belongs to AHNN5, which the paper proposes."""
 
 
 def ordered(models: Sequence[str]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Predicted trajectories of all models with the truth: orbits in space, paths in a plane, phase portraits."""
+"""Predicted trajectories of all models and the truth: orbits in space, paths in a plane, phase portraits."""
 
 from __future__ import annotations
 

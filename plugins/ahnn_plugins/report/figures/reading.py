@@ -25,7 +25,7 @@ STARTS = ("true", "perturbed", "fitted")
 
 
 class Teeth(NamedTuple):
-    """Filter along one trajectory, alternating before and after updates.
+    """Filter estimates along one trajectory, alternately before and after updates.
 
     Attributes:
         time: (K,) times.
@@ -48,17 +48,17 @@ class Kept(NamedTuple):
     Attributes:
         entry: run.
         slot: slot of its model.
-        system: its equations, or None if unknown.
+        system: equations of its system, or None if unknown.
         time: (T,) since the start, in `unit`.
         unit: unit of time.
         known: reference of predictions: `truth`, `test data` or `measurements`.
         members: number of test trajectories.
-        path: (T, D) the first of them.
+        path: (T, D) reference path of the first of them.
         first: predicted first trajectory, (T, D), by start, such as `true`, and by `floor`.
         rms: root mean square over trajectories of the errors, (T, D + 2): of each component, then norms of
             position and velocity; by `true`, `floor_true`, `ukf/true` and so on.
         averages: stored moving averages of norms, (2, T), by `ukf/floor_true` and so on.
-        nees: mean over trajectories, (T,), by start.
+        nees: mean NEES over trajectories, (T,), by start.
         teeth: filter estimates, by start.
         deviations: (T, D) standard deviations of the first trajectory, if the parameter covariance is known.
     """
@@ -98,7 +98,7 @@ def kept(entry: Entry, slot: int) -> Kept | None:
     """Reduce the arrays of a run for figures; None without saved predictions.
 
     Raises:
-        UserError: its file is damaged, or contains arrays of wrong shapes.
+        UserError: the file is damaged, or contains arrays of wrong shapes.
     """
     path = entry.folder / PREDICTIONS
     if not path.exists():
@@ -158,8 +158,7 @@ def _reduced(arrays: Arrays, entry: Entry, slot: int) -> Kept | None:
             states = arrays.get(key, (batch, samples, size))
             if states is None:
                 continue
-            # Members lost by a filter are excluded, as in its own figures; a diverged rollout has infinite
-            # error.
+            # Members lost by a filter are excluded, as in its figures; a diverged rollout has infinite error.
             error = states - truth if name.startswith("ukf/") else errors(states, truth)
             found.rms[name] = _rms(error, space.divisor)
             found.first[name] = states[0].clone()  # copied, since a view would keep the full array
@@ -173,7 +172,7 @@ def _reduced(arrays: Arrays, entry: Entry, slot: int) -> Kept | None:
 
 
 def _names(start: str, own: str) -> tuple[tuple[str, str], ...]:
-    """Return the keys of the rollouts of a start, and their names here, for any filter."""
+    """Return the keys of a start's rollouts in the file, each with its name in `Kept`."""
     return (
         (f"{start}_start", start),
         (f"floor_{start}_start", f"floor_{start}"),
@@ -213,7 +212,7 @@ def _rms(error: Tensor, inertia: float | Tensor) -> Tensor:
 
 
 def _teeth(arrays: Arrays, prefix: str, truth: Tensor, time: Tensor, inertia: float | Tensor) -> Teeth | None:
-    """Return the drawn trajectory of a filter, None if not saved."""
+    """Return a filter's estimates along its plotted trajectory; None if they were not saved."""
     shape = (2 * len(time) - 1, truth.shape[-1])
     mean = arrays.get(f"{prefix}_sawtooth_mean", shape)
     deviation = arrays.get(f"{prefix}_sawtooth_deviation", shape)

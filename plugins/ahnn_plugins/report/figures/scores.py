@@ -21,15 +21,15 @@ from ahnn_plugins.report.scores import plain_filter
 Quantity = Literal["position", "velocity", "energy"]
 
 BESIDE = 0.17
-"""Horizontal offsets of a model without a filter and with one, if there are both."""
+"""Horizontal offset, to either side, of scores without and with a filter, if there are both."""
 SEEDS = 0.06
 """Horizontal offset of the seeds from the dot of their model, to either side."""
 FAR = 100.0
-"""Ratio to the lowest score from which a floor is stated instead of drawn: the scores would be a line."""
+"""Ratio of scores to a floor above which the floor is stated, not drawn: scores would look like a line."""
 SIDES = "Left: without measurements; right: with the filter. "
 SPREAD = "Small dots: the seeds; large dots: their geometric mean."
 TABLES = "The tables give mean ± standard deviation over the seeds. "
-"""On a log axis, this interval may reach below zero, hence the seeds themselves."""
+"""This interval may reach below zero, which a log axis cannot show, so the seeds are drawn instead."""
 MEANING = "RMSE: mean over test trajectories of the rms vector norm; floor: score of the exact equations."
 
 
@@ -70,7 +70,7 @@ def _of_start(
 
 
 def _beside(groups: Iterable[list[Entry]], starts: Sequence[str]) -> float:
-    """Return the offset of scores with and without a filter: 0 where no run has a filter."""
+    """Return the offset of scores with and without a filter; 0 if no run has a filter."""
     rows = (row.who for runs in groups for run in runs for row in run.results.rows)
     return BESIDE * any(who.estimator is not None and who.start in starts for who in rows)
 
@@ -93,7 +93,7 @@ def _near(panel: Panel) -> Panel:
 def _of_model(
     runs: list[Entry], start: str, quantity: Quantity, at: tuple[int, float], slot: int
 ) -> list[Series]:
-    """Return the dots of a model at a place, with the offset of its scores with and without a filter."""
+    """Return a model's dots at an axis position, with an offset between scores without and with a filter."""
     model, found, own = runs[0].model, [], plain_filter(runs)
     place, beside = at
     kinds: tuple[tuple[str | None, str, Role, Role, float], ...] = (
@@ -111,7 +111,7 @@ def _of_model(
 def _scores(
     runs: Sequence[Entry], start: str, quantity: Quantity, estimator: str | None, *, floor: bool
 ) -> tuple[float, ...]:
-    """Return the scores of the full span, one per run that contains it."""
+    """Return the scores over the full span, one per run that has them."""
     found = []
     for run in runs:
         for row in run.results.rows:
@@ -133,7 +133,7 @@ def _printed(system: str, model: str, start: str, quantity: Quantity, at: tuple[
 
 
 def _dots(label: str, dots: Sequence[Dot], role: Role, slot: int = 0) -> list[Series]:
-    """Return a series of geometric means and one of several seeds, of positive, drawable values alone."""
+    """Return one series of geometric means and one of seeds, from positive, drawable values only."""
     means, seeds = [], []
     for dot in dots:
         values = [v for v in dot.values if 0 < v < LOST]

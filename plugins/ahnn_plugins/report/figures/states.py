@@ -16,13 +16,13 @@ WIDE = 3.0
 """Half-width of the bands, in standard deviations."""
 PAPER = {"mass_spring": "6", "molniya": "8"}
 ROOM = 1.08
-"""Margin of the frame relative to its content."""
+"""Size of the frame relative to its content."""
 
 
 def state_drawings(task: Task) -> list[Drawing]:
-    """Plot filter estimates and errors, and prediction errors with their band.
+    """Plot filter estimates and errors, and prediction errors with their bands.
 
-    The filter belongs to AHNN5, as in the paper; without AHNN5, to the model whose filter is the best.
+    The filter is that of AHNN5, as in the paper, or otherwise the most accurate one.
     """
     found = []
     run = _filtered(task)
@@ -39,7 +39,7 @@ def _filtered(task: Task) -> Kept | None:
 
 
 def _score(run: Kept) -> float:
-    """Return the least position error of a filter from any start, infinite if not scored."""
+    """Return the smallest position error of a filter from any start; infinite if there is no score."""
     own = plain_filter([run.entry])
     rows = [row for row in run.entry.results.rows if row.who.estimator == own and not row.who.floor]
     return min((row.scores.position for row in rows if row.scores.position < torch.inf), default=torch.inf)

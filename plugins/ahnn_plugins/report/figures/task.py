@@ -83,7 +83,7 @@ def make_task(system: str, runs: list[Kept]) -> Task:
 
 
 def _seed(run: Kept) -> float:
-    """Return the seed of a run, sorted first if unknown."""
+    """Return the seed of a run as a sort key; unknown seeds come first."""
     seed = run.entry.seed
     return seed if isinstance(seed, int | float) else -1.0
 
