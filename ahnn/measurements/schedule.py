@@ -19,7 +19,7 @@ def every(measurements: Numbers, k: int) -> Tensor:
     Raises:
         ValueError: k is not a positive integer, or measurements are not (B, T, M).
     """
-    # NaN has no remainder, so it is rejected too.
+    # The remainder of NaN is NaN, so NaN is rejected too.
     if k < 1 or k % 1 != 0:
         message = f"every: expected a cadence of a whole number of steps, at least 1; received {k}"
         raise ValueError(message)
@@ -33,7 +33,7 @@ class Schedule(NamedTuple):
 
     Attributes:
         dt: (T,) lengths of the steps.
-        measurements: (B, T, M), NaN in the steps between.
+        measurements: (B, T, M), NaN at steps without a measurement.
     """
 
     dt: Tensor

@@ -89,7 +89,7 @@ class Segment(NamedTuple):
         return None if colour is None else Whitening.of(colour, self.times, ~self.values.isnan())
 
     def white_residuals(self, states: Tensor) -> Tensor:
-        """Return `residuals` whose noise is white, (B, K + 1, M)."""
+        """Return `residuals`, whitened if their noise is coloured, (B, K + 1, M)."""
         whitening, rows = self.whitening, self.residuals(states)
         return rows if whitening is None else whitening(rows)
 
