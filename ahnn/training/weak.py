@@ -38,11 +38,11 @@ from ahnn.training.weak_test_functions import bumps, integrated
 Function = Callable[[Tensor], Tensor]
 WIDTHS = {1: 3, 2: 2}
 """Half-width of a span in lengths over which the motion is cubic, by the equation's order: a bump is small
-outside its middle third. With missing samples it is one length, since each gap ends all spans that contain
+outside its middle third. With missing samples it is one length, since a gap excludes all spans that contain
 it.
 """
 CELLS = 1.4e7
-"""Size limit of the largest sensitivity tensor; longer batches are divided into parts of segments."""
+"""Size limit of the largest sensitivity tensor; larger batches are divided by segments."""
 SEGMENTS = 16
 """Number of segments whose covariances are factored at once."""
 
@@ -123,7 +123,7 @@ class WeakProblem:
         return BandedFactor.joined(each(of, slices(len(self.values), SEGMENTS), self.values.device))
 
     def _bands(self, part: slice, rates: Tensor | None) -> list[Tensor]:
-        """Return the covariances of segments in the format of `Factor.of`; 1 for missing sums."""
+        """Return the covariances of segments in the format of `BandedFactor.of`; 1 for missing sums."""
         tests, size = self.tests.rows(part), self.values.shape[-1]
         nearest, *further = tests.covariances(size, rates)
         missing = (~tests.there).unsqueeze(-1).expand(-1, -1, size)
