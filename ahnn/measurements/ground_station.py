@@ -40,14 +40,14 @@ Degrees = Annotated[float, Within(-90, 90)]
 class GroundStation(Differing):
     """Range, azimuth, elevation and optionally range-rate from a point on the rotating Earth.
 
-    Azimuth is measured from north through east, in (-pi, pi]; elevation from the plane normal to the
+    Azimuth is measured from north through east, in (-pi, pi]; elevation from the plane perpendicular to the
     ellipsoid's normal, in [-pi/2, pi/2]. Conversions: Vallado 2013, algorithms 27 (range, azimuth, elevation)
     and 51 (geodetic site coordinates).
 
     Args:
-        latitude: geodetic, degrees.
+        latitude: geodetic latitude, degrees.
         longitude: degrees, positive east.
-        height: above the ellipsoid, km.
+        height: height above the ellipsoid, km.
         range_rate: whether to measure the range-rate.
         earth_angle: angle of the Greenwich meridian from the inertial x axis at t = 0, rad; None for 0. Or
             the (3, 3) matrix from the inertial axes to the Earth's axes at t = 0; the Earth rotates about its

@@ -48,7 +48,7 @@ class NoiseEstimate:
         stated: stated values; empty if not estimated.
         fractions: coloured fractions of the variance; empty if not estimated.
         memories: time constants of the coloured part.
-        bias: offset of readings from the truth; empty if not estimated.
+        bias: offset of readings from the true values; empty if not estimated.
         bias_sd: standard deviations of the bias.
         prior_sd: prior standard deviations of biases, 0 for a component without bias.
         freedom: degrees of freedom of Student's noise, whose scales are the deviations; 0 where the noise

@@ -53,8 +53,8 @@ def schedule(times: Numbers, measurements: Numbers, max_step: float, start_time:
         start_time: time of the initial belief.
 
     Raises:
-        ValueError: times are not (K,), finite and increasing from the start, K differs or is zero, or
-            max_step is not positive.
+        ValueError: times are not (K,), finite and increasing from the start, K is zero or differs from that
+            of the measurements, or max_step is not positive.
     """
     given, ends = _rows(measurements, "schedule"), as_float64(times, "schedule: times")
     if ends.ndim != 1 or len(ends) == 0 or given.shape[1] != len(ends):

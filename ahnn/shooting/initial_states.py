@@ -30,7 +30,7 @@ ROUGHLY, ITERATIONS = 3, 8
 LOST = 25.0
 """Mean squared residual above which trained dynamics do not fit a segment."""
 WORSE = 3.0
-"""Ratio of mean squared residuals, to that of the best segment, above which a fit may have lost its path."""
+"""Mean squared residual, relative to that of the best segment, above which a fit may have lost its path."""
 SETTLED = 1e-3
 """Change of a segment's chi-square below which the fit has converged."""
 SMALLEST, LARGEST = 1e-9, 1e9

@@ -26,7 +26,7 @@ class ClosingJournal:
 
     Args:
         folder: folder of the files.
-        of: checksum of the weights with which the stage begins; results of other weights are replaced.
+        of: checksum of the weights with which the stage begins; results for other weights are replaced.
     """
 
     def __init__(self, folder: Path, of: str) -> None:

@@ -90,7 +90,7 @@ def is_noise(noise: FoundNoise, chi_square: float) -> bool:
 
 
 def biases_of(found: Uncertainty) -> Tensor | None:
-    """Return the biases (M,) found by a fit, if any was unknown."""
+    """Return the biases (M,) found by a fit; None if none was unknown."""
     given = found.about.get("bias")
     return None if given is None else torch.tensor(given, dtype=torch.float64)
 

@@ -83,7 +83,7 @@ def lowest(problem: WideProblem, dynamics: Dynamics, origin: Tensor, here: Poste
     """Return the lowest point reached by steps with the matrix of `here`; None if no step succeeds.
 
     Args:
-        problem: problem whose starts were fitted near `here`.
+        problem: problem whose initial states were fitted near `here`.
         dynamics: dynamics about which the functions are linearised.
         origin: parameters of these dynamics, shape (P,).
         here: initial point.

@@ -15,7 +15,7 @@ TIMES_TYPICAL = 5.0
 
 
 def freedom(batch: Segment) -> Tensor:
-    """Return the degrees of freedom of segments, (B,): measured values minus 2n unknowns of the start."""
+    """Return the degrees of freedom of segments, (B,): measured values minus 2n initial-state components."""
     return (batch.measured - 2 * batch.instrument.dof).double()
 
 

@@ -72,7 +72,7 @@ class WideProblem(ShootingProblem):
 
     @torch.no_grad()
     def loss(self, theta: Tensor) -> Tensor:
-        """Return the sum of squared residuals, each segment from its best start, for the best biases."""
+        """Return the sum of squared residuals for the best initial states and biases."""
 
         def compute() -> dict[str, Tensor]:
             plain = super(WideProblem, self).loss(theta)
@@ -117,7 +117,7 @@ class WideProblem(ShootingProblem):
         return loss if self.shared is None else loss - self.shared.gain(self.pull(fitted))
 
     def pull(self, fitted: Fitted) -> Tensor:
-        """Return the gradient (K,) with respect to the biases, with each segment from its best start."""
+        """Return the gradient (K,) with respect to the biases, for fitted initial states."""
         rows = self.batch.white_residuals(fitted.states[:, self.steps.ends])
         weight = self.robust.weight(rows) * self.limit.weight(fitted.sums)[:, None, None]
         return pull_of(rows * weight, self.batch)

@@ -40,7 +40,7 @@ class Residuals(NamedTuple):
 
     Attributes:
         rows: residuals, (B, T, M).
-        of_start: their derivatives with respect to the starts, (B, T, M, D).
+        of_start: their derivatives with respect to the initial states, (B, T, M, D).
         times: (B, T).
         there: mask of the measured values, (B, T, M) bool.
     """
@@ -93,7 +93,7 @@ def most_likely(left: Residuals, *, sizes: bool, correlation: bool) -> FoundNois
 
     Args:
         left: residuals of the fit.
-        sizes: whether standard deviations are unknown; else they are the stated ones.
+        sizes: whether standard deviations are unknown; otherwise they are the stated ones.
         correlation: whether to search for a coloured part.
     """
     count = left.rows.shape[-1]

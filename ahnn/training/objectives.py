@@ -165,7 +165,7 @@ def derivative_samples(window: Window) -> tuple[Tensor, Tensor]:
     The derivative is the central difference of order W. A field fitted to it has no integrator error.
 
     Args:
-        window: start (B, D) and true increments (B, W, D), W even, equal steps.
+        window: start (B, D) and true increments (B, W, D), with even W and equal steps.
 
     Raises:
         UserError: unequal steps.

@@ -76,7 +76,7 @@ def columns_of(of_bias: Tensor, instrument: Instrument) -> Tensor:
 
 
 def pull_of(rows: Tensor, segment: Segment) -> Tensor:
-    """Return h, (K,), of weighted residuals (B, T, M) from the best starts."""
+    """Return h, (K,), from weighted residuals (B, T, M) for the best initial states."""
     places, (value, precision) = unknown_places(segment.instrument), prior(segment.instrument)
     return (rows * of_biases(segment)).sum((0, 1))[places] + precision * value
 

@@ -61,12 +61,12 @@ class FoundTails(NamedTuple):
 
 
 def without_fit(residuals: Tensor, of_start: Tensor, freedom: Tensor | None) -> Tensor:
-    """Return residuals (B, T, M) as if no start had been fitted to them.
+    """Return residuals (B, T, M), corrected for the effect of fitted initial states.
 
     Args:
         residuals: residuals in the noise scales of the fit.
-        of_start: their derivatives with respect to the starts, times the square roots of the weights, (B, T,
-            M, D).
+        of_start: their derivatives with respect to the initial states, times the square roots of the weights,
+            (B, T, M, D).
         freedom: degrees of freedom of the fit, (M,); None for squares.
     """
     taken = torch.linalg.qr(of_start.flatten(1, 2)).Q.square().sum(-1).view_as(residuals)

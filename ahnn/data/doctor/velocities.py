@@ -21,7 +21,9 @@ DOUBTS = 8.0
 Noise changes a derivative by 3.6 times its effect on the difference between five- and three-point stencils.
 """
 OF_SPEED = 0.01
-"""Tolerated difference relative to orbital speed: theories such as SGP4 differ by this amount."""
+"""Tolerated difference relative to orbital speed: velocities of theories such as SGP4 are inexact by this
+amount.
+"""
 UNCLEAR = 0.1
 """Relative uncertainty above which nothing is reported."""
 LEAST = 8

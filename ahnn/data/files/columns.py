@@ -55,7 +55,7 @@ class Roles(NamedTuple):
         id: column of the trajectory id; None for a single trajectory.
         positions: columns of the n positions.
         rates: columns of the n velocities or momenta, in the order of the positions; empty if unknown.
-        kind: velocity or momentum.
+        kind: kind of the rates: velocities or momenta.
         controls: columns of the controls.
     """
 

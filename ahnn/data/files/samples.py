@@ -113,8 +113,8 @@ def restarts(times: Array) -> NDArray[np.int64]:
 def filled(track: Track, gap: float, *, linear: bool = False) -> Track:
     """Fill the gaps of a track with missing samples, at about the spacing of the existing ones.
 
-    On a regular grid every missing point is a gap; otherwise every step longer than `gap` times the median.
-    Controls continue through a gap, held or interpolated linearly.
+    On a regular grid every missing point is a gap; otherwise, every step longer than `gap` times the median
+    step is one. Controls continue through a gap, held or interpolated linearly.
 
     Raises:
         UserError: a gap long enough to separate two trajectories.
