@@ -89,12 +89,12 @@ def load_or_make(
 ) -> Trajectories:
     """Load the trajectories of a recipe; generate and store them if they are missing or damaged.
 
+    If several processes need the same missing data, one generates them and the others wait.
+
     Args:
         folder: folder of the stored files.
         wanted: recipe of the data.
         make: function that returns the parts for `write`.
-
-    If several processes need the same missing data, one generates it and the rest wait.
 
     Raises:
         UserError: the folder is not writable.

@@ -42,7 +42,7 @@ class Whitening(NamedTuple):
 
     @classmethod
     def of(cls, colour: Colour, times: Tensor, there: Tensor) -> Whitening:
-        """Return the map for rows at times (B, T); `there` masks measured values, (B, T, M) bool."""
+        """Return the map for rows at times (B, T); `there` is the mask of measured values, (B, T, M)."""
         fractions, memories = (part.to(times) for part in colour)
         gaps = torch.nn.functional.pad(times.diff(dim=1), (1, 0))
         kept = (-gaps.unsqueeze(-1) / memories).exp()

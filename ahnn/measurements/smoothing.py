@@ -29,7 +29,7 @@ class Local(NamedTuple):
         error: (E, C) difference of the central sample from the polynomial through all other samples.
         leverage: (E,) weight of the central sample in the value at the centre.
         width: number of fitted samples on either side.
-        chosen: (E, 2) row and column of the central samples; None for first samples.
+        chosen: (E, 2) row and column of the central samples; None for the first samples of segments.
     """
 
     value: Tensor

@@ -8,8 +8,8 @@ variance
     c + e^2 g^2,
 
 where e is chosen such that the residuals match this variance: as in Paule & Mandel 1982 (J. Res. NBS 87,
-377-385), but with the median, which is robust to outliers. As the field improves e decreases, and it vanishes
-where residuals are noise: the objective is then chi-square.
+377-385), but with the median, which is robust to outliers. As the field improves, e decreases, and it
+vanishes where residuals are noise: the objective is then chi-square.
 """
 
 from __future__ import annotations

@@ -73,7 +73,7 @@ def _on_measurements(model: Any, data: WindowDataModule, per_epoch: int, epochs:
 
 
 def shooting_seconds(model: Any, data: WindowDataModule) -> float:
-    """Return the time of shooting fits and equations per measurement time.
+    """Return the duration of shooting fits and equations per measurement time.
 
     It is timed on the first intervals of trajectories, since untrained dynamics soon diverge.
     """

@@ -85,7 +85,7 @@ def with_units(header: Header, sidecar: Sidecar, place: Place) -> Header:
 
 
 def written(path: Path, said: Sidecar) -> bytes:
-    """Return the text of the sidecar of an output file."""
+    """Return the sidecar of an output file as bytes."""
     about = f"# Units, columns and frame of {path.name}\n"
     usual = {"controls": BETWEEN[0]}.items()
     plain = {key: value for key, value in said._asdict().items() if (key, value) not in usual}
