@@ -16,7 +16,7 @@ USAGE = "usage: python -m ahnn.data check PATH... [figures=DIR] [mass=M] [gap=10
 
 
 def check(arguments: list[str]) -> None:
-    """Check the files named on the command line; raises errors of `cli.data_files` and `jobs.checking`."""
+    """Check the files named on the command line; raises UserError for unknown options and for faults."""
     with importing():
         from ahnn.cli.data_files import read_check
         from ahnn.jobs import checking

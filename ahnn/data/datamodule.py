@@ -127,7 +127,7 @@ class WindowDataModule(LightningDataModule):
         return self.splits.instrument()._replace(width=self.smooth.width)
 
     def statistics(self) -> Statistics:
-        """Return the statistics of the training split, float64, from smoothed measurements."""
+        """Return the statistics of the training split, float64, from smoothed samples if measured."""
         if self.sensor is None:
             return Statistics.of(self.trajectories("train"))
         return measured_statistics(self.smooth, self.instrument, self.measured("train"))
@@ -152,14 +152,14 @@ class WindowDataModule(LightningDataModule):
         return remark_on(*self.measured("train"), self.sensor.names, self.sensor.measurement.units, stated)
 
     def feed(self, trainer: Trainer) -> None:
-        """Place batch gathering on the trainer's device, before the first batch is requested."""
+        """Gather batches on the trainer's device; to be called before the first batch is requested."""
         self.trainer = trainer
 
     def follow(self, stages: Stages, epochs: int) -> None:
         """Provide growing segments of measurements over the epochs, instead of windows.
 
         Raises:
-            UserError: no measurements, or sampling by speed requested.
+            UserError: there are no measurements, or `emphasis` is not 0.
         """
         if self.sensor is None:
             message = (
@@ -175,7 +175,7 @@ class WindowDataModule(LightningDataModule):
         self.stages, self.epochs = stages, epochs
 
     def group(self, seeds: Sequence[int]) -> None:
-        """Provide the batches of several training runs, each in its own order, one below the other."""
+        """Provide concatenated batches of several training runs, each in its own order."""
         self.orders = [*seeds]
 
     def train_dataloader(self) -> EpochLoader:

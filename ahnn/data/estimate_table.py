@@ -23,11 +23,11 @@ from ahnn.types import Space
 COVARIANCE, INNOVATION, DEVIATION = "cov_", "innovation_", "innovation_sd_"
 FIRST = ("line", "time", "sensor", "outcome", "replayed", "nis", "dof")
 DATED = (*FIRST[:2], "epoch", *FIRST[2:])
-"""First columns where time zero has an epoch."""
+"""First columns if time zero has an epoch."""
 OBJECT = "object"
-"""Name of the column with the object's name, the second one in the output of many objects."""
+"""Name of the column of object names, the second column in the output for many objects."""
 OF_OBJECTS = re.compile(rf'{FIRST[0]},{OBJECT},{FIRST[1]},|{{"{FIRST[0]}": \d+, "{OBJECT}": ')
-"""Beginning of an output of many objects, a table or JSON lines."""
+"""Beginning of the output for many objects, a table or JSON lines."""
 
 
 class LastEstimates(NamedTuple):
@@ -56,12 +56,12 @@ def is_track(path: Path) -> bool:
 
 
 def names_objects(path: Path) -> bool:
-    """Return whether a file is the output of an assimilation of many objects."""
+    """Return whether a file is the output of an assimilation for many objects."""
     return OF_OBJECTS.match(_beginning(path)) is not None
 
 
 def _beginning(path: Path) -> str:
-    """Return the first characters of a file; none for no file."""
+    """Return the first characters of a file; "" if there is no file."""
     if not path.is_file():
         return ""
     with path.open("rb") as file:
@@ -69,7 +69,7 @@ def _beginning(path: Path) -> str:
 
 
 def rows_of(path: Path) -> Iterator[dict[str, Any]]:
-    """Yield the rows of an output."""
+    """Yield the rows of an output file."""
     require_regular(path)
     with path.open(newline="") as file:
         table = file.read(1) != "{"
@@ -121,7 +121,7 @@ def track_names(space: Space) -> tuple[str, ...]:
 
 
 def units_of(space: Space) -> dict[str, str]:
-    """Return the units of time and of the components of a track, as for a sidecar."""
+    """Return the units of time and of the components of a track, in the form of a sidecar."""
     names, units = track_names(space), momentum_units(space)
     if not space.mechanical:
         return units
@@ -140,7 +140,7 @@ def components_with_units(space: Space) -> list[str]:
 
 
 def momentum_units(space: Space) -> dict[str, str]:
-    """Return the units of time and components, momenta among them."""
+    """Return the units of time and components, including momenta."""
     names, units = space.components, space.units
     momentum = {"1": "1", "rad": f"kg m^2/{units.time}"}.get(units.position, f"kg {units.velocity}")
     parts = [units.position] * space.dof + [momentum] * space.dof
@@ -148,7 +148,7 @@ def momentum_units(space: Space) -> dict[str, str]:
 
 
 def described(space: Space, reference: Reference) -> sidecar.Sidecar:
-    """Return the sidecar of an output: with it a reader of data takes the estimates as states."""
+    """Return the sidecar of an output, with which its estimates can be read as states."""
     names, dof = list(track_names(space)), space.dof
     rates = "velocities" if space.mechanical else "momenta"
     columns = {"time": "time", "positions": names[:dof], rates: names[dof:]}

@@ -30,7 +30,7 @@ def fingerprints(trajectories: Trajectories) -> Tensor:
 
 
 def remembered(trajectories: Trajectories) -> list[int]:
-    """Return the minimum fingerprint of each trajectory, which most differently cut versions also contain."""
+    """Return the smallest fingerprint of each trajectory; most of its differently cut versions contain it."""
     least = torch.cat([fingerprints(part).amin(1) for part in trajectories.parts()])
     least = least[least != NONE]
     return least[:: -(-len(least) // KEPT) or 1].tolist()

@@ -35,7 +35,7 @@ def generated(system: System, count: int, seed: int) -> Iterator[Trajectories]:
 
     Raises:
         UserError: the trajectories are too long to be stored, become non-finite, or cannot be computed
-            accurately, or the energy of the system does not belong to its force.
+            accurately, or the energy of the system is inconsistent with its force.
     """
     generator = torch.Generator().manual_seed(seed)
     x = system.initial_states(count, generator)

@@ -1,4 +1,4 @@
-"""Joint batches of several training runs, one below the other."""
+"""Concatenated batches of several training runs."""
 
 from __future__ import annotations
 
@@ -43,5 +43,5 @@ class GroupedLoader(EpochLoader):
         return [torch.cat(parts) for parts in zip(*orders, strict=True)]
 
     def gather(self, batch: Tensor) -> Any:
-        """Return the batches of given indices, as one."""
+        """Return the samples of given indices as one batch."""
         return self.loaders[0].gather(batch)

@@ -18,7 +18,7 @@ from ahnn.types import Space, Trajectories, Units
 
 
 def check_space(space: Space) -> None:
-    """Raise UserError for names, units or an inertia that are invalid."""
+    """Raise UserError for invalid names, units or inertia."""
     if not isinstance(space, Space):
         message = f"space: expected ahnn.Space(name, components); received {described(space)}"
         raise UserError(message)

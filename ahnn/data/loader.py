@@ -38,12 +38,12 @@ class EpochLoader(ABC):
 
     @property
     def sampler(self) -> EpochLoader:
-        """This object, as Lightning calls `sampler.set_epoch` before each epoch."""
+        """This object, since Lightning calls `sampler.set_epoch` before each epoch."""
         return self
 
     @property
     def batch_sampler(self) -> None:
-        """None: there is no separate batch sampler, which Lightning queries."""
+        """None: Lightning queries a batch sampler, but there is no separate one."""
         return
 
     def set_epoch(self, epoch: int) -> None:

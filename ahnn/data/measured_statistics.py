@@ -1,4 +1,4 @@
-"""Statistics of measurements, as `Statistics.of` for states but without differences of noisy samples."""
+"""Statistics of measurements, like `Statistics.of` for states, but without differences of noisy samples."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def measured_statistics(local: Local, instrument: Instrument, measured: Observat
     """Compute the statistics of measurements from local polynomials in time.
 
     Rates are from polynomials, since noise inflates differences; individual forces are used only where a
-    polynomial predicts its sample about as well as most.
+    polynomial predicts its central sample about as well as most polynomials do.
     """
     states = as_states(local.value, local.rate, instrument)
     rates = as_states(local.rate, local.curvature, instrument)

@@ -11,11 +11,11 @@ from torch.nn.functional import normalize
 ORDERS = (8, 9, 10)
 """Orders of the differences: smooth motion vanishes in them, unless it is sampled too sparsely."""
 PLATEAU = 0.2
-"""Change between orders above which motion dominates the differences."""
+"""Relative change between orders above which motion dominates the differences."""
 NORMAL = 0.6745
 """Median absolute value of a standard normal number."""
 LOW, LOW_NORMAL = 0.2, 0.2533
-"""Quantile of differences robust against few outliers, and its value for standard normal ones."""
+"""Quantile of differences that is robust to a few outliers, and its value for standard normal differences."""
 FAR = 6.0
 """Standard deviations of a difference beyond which its central sample is excluded."""
 SHARE = 1e-4
@@ -23,7 +23,7 @@ SHARE = 1e-4
 LOOKED_AT = 2**16
 """Number of samples for medians accurate to one per cent."""
 SMALL, MEANS = 0.02, 0.25
-"""Noise relative to a component's total motion that needs no test, and tolerance of the means."""
+"""Noise, relative to a component's total motion, that needs no test, and relative tolerance of the means."""
 PURE = ("1", "1 · mass")
 """Units of components without a unit."""
 TWICE = 2.0
@@ -55,14 +55,14 @@ def differences_level(samples: Tensor, times: Tensor) -> Tensor:
 
 
 def levels(samples: Tensor, times: Tensor, orders: Sequence[int]) -> list[Tensor]:
-    """Return the standard deviations (D,) of independent noise with equally large differences."""
+    """Return, for each order, the standard deviations (D,) of independent noise with equal differences."""
     kept = without_events(samples, times)
     sizes = [differences(kept, weights(times, order)).abs().flatten(0, 1) for order in orders]
     return [size.nanmedian(0).values / NORMAL for size in sizes]
 
 
 def falls_as_noise(samples: Tensor, times: Tensor, level: Tensor) -> Tensor:
-    """Return components (D,) whose means of m consecutive samples have the level over sqrt(m).
+    """Return the mask (D,) of components whose means of m consecutive samples have the level / sqrt(m).
 
     This holds for independent noise. Motion sampled only a few times per period has high-order differences as
     large as itself, but not such means. Levels small relative to the motion need no test.
@@ -78,7 +78,7 @@ def falls_as_noise(samples: Tensor, times: Tensor, level: Tensor) -> Tensor:
 
 
 def is_coloured(samples: Tensor, times: Tensor, level: Tensor) -> Tensor:
-    """Return components (D,) whose means of consecutive samples exceed the means of white noise.
+    """Return the mask (D,) of components whose means of consecutive samples exceed those of white noise.
 
     High-order differences are insensitive to noise correlated between samples.
     """
@@ -149,7 +149,7 @@ def remark_on(
         samples: (B, T, D) training samples, of which some are examined.
         times: (B, T) sample times.
         names: names of their D components.
-        units: units of these components, "1" of pure numbers.
+        units: units of these components, "1" for pure numbers.
         stated: (D,) standard deviations used by the loss; None for a loss that assumes exact samples.
     """
     samples, times = looked_at(samples, times)
@@ -178,7 +178,7 @@ def remark_on(
 
 
 def looked_at(samples: Tensor, times: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the beginnings of evenly chosen trajectories, `LOOKED_AT` samples in total."""
+    """Return the first samples of evenly spaced trajectories, about `LOOKED_AT` samples in total."""
     some = slice(None, None, max(1, times.numel() // LOOKED_AT))
     count = max(LOOKED_AT // len(times[some]), ORDERS[-1] + 1)
     return samples[some, :count], times[some, :count]

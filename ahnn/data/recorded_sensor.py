@@ -10,7 +10,7 @@ from ahnn.types import Trajectories
 class Recorded(Sensor):
     """Sensor of recorded measurements, with values from the file and without simulated noise.
 
-    The truth is unknown, also for test trajectories.
+    The true states are unknown, also in the test split.
     """
 
     draws = False

@@ -68,7 +68,7 @@ class Reference(NamedTuple):
         return self._replace(clock=clock, epoch=self.epoch + shift)
 
     def earth_angle(self) -> float:
-        """Return the Earth's rotation angle at the epoch in rad (IERS Conventions 2010, 5.15), UT1 as UTC."""
+        """Return the Earth's rotation angle at the epoch in rad (IERS Conventions 2010, 5.15), UT1 = UTC."""
         moment = self.on("UTC").epoch or 0
         seconds = moment / SECOND - leaps(moment // SECOND // DAY)
         days = seconds / DAY - 0.5  # since J2000.0
@@ -81,10 +81,10 @@ class Reference(NamedTuple):
         return Reference(frame, center, clock, epoch)
 
     def chosen(self, keys: Reference) -> Reference:
-        """Complete the reference of a run with the user's settings.
+        """Combine the reference of a run with the user's settings, which take precedence.
 
         Raises:
-            UserError: a frame or centre that differs from the run.
+            UserError: a frame or centre that differs from that of the run.
         """
         for name in ("frame", "center"):
             ours, theirs = getattr(self, name), getattr(keys, name)
@@ -109,7 +109,7 @@ class Reference(NamedTuple):
             raise UserError(message) from error
 
     def centred(self, length: str) -> Reference:
-        """Name the Earth as the centre of its frames, of positions in km or m, where none is stated."""
+        """Set the Earth as the centre of `EARTHLY` frames with positions in km or m, if none is stated."""
         if self.center or self.frame not in EARTHLY or length not in ("km", "m"):
             return self
         log.info("center: not stated; EARTH, the centre of %s, is assumed", self.frame)

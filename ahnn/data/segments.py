@@ -23,7 +23,7 @@ class Segments:
 
     Attributes:
         intervals: number of intervals of each segment.
-        covering: number of segments that together contain as many measurements as exist; more segments only
+        covering: number of segments that together contain as many measurements as the data; more would only
             overlap.
 
     Raises:
@@ -71,13 +71,13 @@ class Segments:
 
 
 def whole(measured: Observations, instrument: Instrument) -> Segment:
-    """Return each trajectory after its first suitable start, as one batch; raises errors of `Segments`."""
+    """Return trajectories from their first suitable start on; raises the same errors as `Segments`."""
     segments = Segments(measured, None, instrument)
     return segments.gather(torch.arange(len(segments)))
 
 
 def ahead(there: Tensor, count: int) -> Tensor:
-    """Return the number of samples present in a span that starts at each sample, (B, T) from (B, T) bool."""
+    """Return the number of samples present among the `count` from each sample on, (B, T) from (B, T) bool."""
     padded = torch.nn.functional.pad(there.long(), (0, count))
     sums = torch.nn.functional.pad(padded.cumsum(1), (1, 0))
     return sums[:, count : count + there.shape[1]] - sums[:, : there.shape[1]]

@@ -28,7 +28,7 @@ Share = Annotated[float, Within(0, 0.9)]
 OUTLIER = 50.0
 """Size of an outlier, in standard deviations."""
 COPIES = 4
-"""Number of measurements held in memory while they are drawn."""
+"""Number of copies of the measurements in memory while they are drawn."""
 
 
 @checked
@@ -42,11 +42,11 @@ class Sensor:
             momenta, one per component, or the noise of one of several stations. For recorded measurements
             also `estimate`: they are estimated in training.
         every: number of trajectory samples between measurements.
-        stride: maximum number of trajectory samples per integrator step; each step ends at a measurement.
+        stride: maximum number of trajectory samples per integrator step; a step ends at each measurement.
         gaps: fraction of randomly missing measurements.
         outliers: fraction of measured values with an error of 50 standard deviations.
-        bias_sd: standard deviations of constant biases, in the format of `Biases.of`. The biases are drawn
-            from these and estimated in training. None: no biases.
+        bias_sd: standard deviations of constant biases, in the format of `Biases.of`. Biases are drawn with
+            these deviations and estimated in training. None: no biases.
         correlation: whether the training estimates how noise correlates in time.
         tails: whether the training estimates scale and degrees of freedom of Student's noise.
         freedom: degrees of freedom of the simulated noise, with `noise` as its scale; None for normal noise.
@@ -117,7 +117,7 @@ class Sensor:
         return isinstance(self.measurement, State)
 
     def instrument(self, spacing: float) -> Instrument:
-        """Return the instrument, as needed by fits, for measurements on samples of given spacing."""
+        """Return the instrument, as needed by fits, for measurements of samples at a given spacing."""
         longest, space = self.stride * spacing, self.space
         return Instrument(self.measurement, self.deviations, longest, space.dof, space.factor)
 

@@ -50,7 +50,7 @@ class Observed(Source, Protocol):
     """Source of measurements that are not state components; `read` returns positions derived from them."""
 
     def sensors(self) -> Any:
-        """Return the model of all its sensors side by side, with their noise and biases."""
+        """Return one measurement model of all its sensors, with their noise and biases."""
         ...
 
     def observations(self) -> Observations:
@@ -106,7 +106,7 @@ class Given(Recordings):
 
     Args:
         trajectories: states (B, T, 2n) and times (B, T) or (T,), NaN where a sample is missing; momenta that
-            are all NaN, or omitted, are unknown. Controls (B, T, m) of a space that names them.
+            are all NaN, or omitted, are unknown. Controls (B, T, m), if the space names any.
         space: description of the state components.
         cut: see `Recordings`.
         gap: see `Recordings`.

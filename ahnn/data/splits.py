@@ -51,7 +51,7 @@ class SplitData:
         return self._parts[split]
 
     def seen(self) -> list[int]:
-        """Return fingerprints of the training trajectories, for `beside`."""
+        """Return fingerprints of the training and validation trajectories, for `beside`."""
         return remembered(self["train"]) + remembered(self["val"])
 
     def beside(self, known: dict[str, Any] | None, seen: Sequence[int] = ()) -> str:
@@ -59,7 +59,7 @@ class SplitData:
 
         Args:
             known: `recipe` and `split` of the training; None if not recorded.
-            seen: fingerprints of the training, as returned by `seen`; not recorded by earlier versions.
+            seen: fingerprints of the training data, as returned by `seen`; not recorded by earlier versions.
 
         Raises:
             UserError: some test trajectories are, or may be, identical to training trajectories.
@@ -113,7 +113,7 @@ class SplitData:
         return self._measured[split]
 
     def instrument(self) -> Instrument:
-        """Return the instrument, and the integrator step between its measurements, in samples."""
+        """Return the instrument, with the maximum integrator step between its measurements."""
         assert self.sensor is not None
         spacing = sampling_interval(self["test"])
         found = self.sensor.instrument(float(spacing.nanmedian()) if isinstance(spacing, Tensor) else spacing)
@@ -124,7 +124,7 @@ class SplitData:
         """Standard deviations (M,) of the noise, estimated from differences of the training measurements.
 
         Raises:
-            UserError: the differences disagree.
+            UserError: differences of several orders disagree.
         """
         assert self.sensor is not None
         level = differences_level(*looked_at(*self.measured("train")))

@@ -39,7 +39,7 @@ class KnownCovariance(NamedTuple):
 
 
 def covariances_of(path: Path, moments: list[int], *, earlier: bool) -> KnownCovariance | None:
-    """Return the covariance of each segment's state; None, with a warning, if a segment has none.
+    """Return the covariance of each segment's state; None, with a warning, if a segment lacks one.
 
     Args:
         path: path of the message.

@@ -26,7 +26,7 @@ KINDS = ("table", "parquet")
 
 
 def deviations_of(path: Path, kind: Kind, times: Tensor, *, weighed: bool) -> Tensor | None:
-    """Read the standard deviations of states from a table, in the readers' units and order.
+    """Read the standard deviations of states from a table, in the units and order of its reader.
 
     Args:
         path: path of the file.

@@ -45,8 +45,8 @@ class Starts(NamedTuple):
         times: (B,) times of the states, in its unit of time.
         reference: reference of positions and times, if specified by the file.
         covariances: (B, D, D) covariances, or None if unknown.
-        since: (B,) times of covariances of earlier states, and (B, D) these states; None for covariances of
-            the states themselves.
+        since: times (B,) and states (B, D) to which the covariances belong, if they are earlier ones; None if
+            the covariances belong to `states`.
     """
 
     names: tuple[str, ...]
@@ -65,7 +65,7 @@ def starts(
     sd: Any = None,
     last: bool = False,
 ) -> Starts:
-    """Read the starts given by a user.
+    """Read the initial states given by a user.
 
     Args:
         given: the path of a file, or numbers: one state or several.
@@ -131,7 +131,7 @@ def in_frame(found: Starts, ours: Reference, space: Space, path: Path) -> Starts
 
 
 def referred(found: Starts, ours: Reference) -> Starts:
-    """Return starts with the model's reference, completed by their file.
+    """Return starts with the model's reference, completed by that of their file.
 
     Their times are relative to the epoch of the file, if any.
     """
@@ -206,7 +206,7 @@ def of_track(path: Path, space: Space) -> Starts:
 def of_files(path: Path, space: Space, *, last: bool, weighed: bool) -> Starts:
     """Read the first or the last state of each trajectory in a data file; raises UserError."""
     kind = kind_of(content_of(path), str(path))
-    second = 1.0 if kind in ("elements", "omm") else None  # between the two samples propagated by SGP4
+    second = 1.0 if kind in ("elements", "omm") else None  # interval of the two samples propagated by SGP4
     last = last and second is None
     files = Files("start", str(path), mass=space.mass, step=second, duration=second)
     if not files.momenta:
@@ -252,7 +252,7 @@ def columns_of(files: Files, space: Space, path: Path, *, by_order: bool) -> tup
         files: content of the file.
         space: description of the model's state components.
         path: path of the file.
-        by_order: whether to take positions of other names by order, as in orbit messages, whose are x, y, z.
+        by_order: whether to assign positions with other names by order, as for orbit messages (x, y, z).
 
     Raises:
         UserError: missing or other columns, positions only, or incompatible units.
@@ -277,7 +277,7 @@ def columns_of(files: Files, space: Space, path: Path, *, by_order: bool) -> tup
 
 
 def factor(theirs: str, ours: str, path: Path) -> float:
-    """Return the conversion factor of a unit in a file; a file without units uses ours."""
+    """Return the conversion factor of a unit in a file to ours; 1 for a file without units."""
     try:
         return 1.0 if theirs == "1" else units.factor(theirs, ours)
     except ValueError as error:

@@ -73,7 +73,7 @@ def _source(name: str, kind: type) -> str:
 
 
 def _bytecode(value: Any) -> Any:
-    """Return the bytecode, constants and names of a function; only plain values of other objects."""
+    """Return the bytecode, constants and names of a function; for other objects, only plain values."""
     function = getattr(value, "fget", getattr(value, "__func__", value))
     if isinstance(function, FunctionType):
         return _bytecode(function.__code__), function.__defaults__, function.__kwdefaults__
@@ -87,14 +87,14 @@ def _bytecode(value: Any) -> Any:
 def load_or_make(
     folder: Path, wanted: dict[str, object], make: Callable[[], Iterable[Trajectories]]
 ) -> Trajectories:
-    """Load the trajectories of a recipe, generating and storing them if missing or damaged.
+    """Load the trajectories of a recipe; generate and store them if they are missing or damaged.
+
+    If several processes need the same missing data, one generates them and the others wait.
 
     Args:
         folder: folder of the stored files.
         wanted: recipe of the data.
         make: function that returns the parts for `write`.
-
-    If several processes need the same missing data, one generates it and the rest wait.
 
     Raises:
         UserError: the folder is not writable.
@@ -119,7 +119,7 @@ def place(folder: Path, wanted: dict[str, object]) -> Path:
 
 
 def stored_in(path: Path) -> Trajectories | None:
-    """Return the trajectories in a file, or None where it is missing or damaged."""
+    """Return the trajectories in a file; None if it is missing or damaged."""
     if not path.exists():
         return None
     try:
@@ -155,7 +155,7 @@ def write(path: Path, parts: Iterable[Trajectories], made_from: dict[str, object
 
 
 def header(made_from: dict[str, object], sha256: str, states: Sequence[int], times: Sequence[int]) -> bytes:
-    """Return the safetensors header of states and times, of equal length for any number of trajectories."""
+    """Return the safetensors header of states and times, padded to a length independent of the shapes."""
     metadata = {"recipe": json.dumps(made_from, sort_keys=True), "sha256": sha256}
     end, last = 8 * math.prod(states), 8 * (math.prod(states) + math.prod(times))
     entries = {

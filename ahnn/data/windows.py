@@ -130,7 +130,7 @@ def stretches_of(trajectories: Trajectories) -> tuple[Tensor, Tensor]:
 
 
 def stretches(present: Tensor) -> tuple[Tensor, Tensor]:
-    """Return begin and length of each run of samples without a gap, in rows of the flat samples.
+    """Return the first row, in the flat samples, and the length of each run of samples without a gap.
 
     Args:
         present: (B, T) bool; a run ends with its trajectory.

@@ -1,7 +1,7 @@
 """Measurement models, their fields of view, and measurement schedules.
 
 A model maps states to measurements and defines their differences. It is any object with the members of
-`Measurement`: one class, and one YAML file that names it.
+`Measurement`: a new one needs a class and a YAML file that names it.
 """
 
 from __future__ import annotations

@@ -25,10 +25,10 @@ class HasResidual(Protocol):
 
 
 def periods(measurement: Measurement) -> tuple[float, ...]:
-    """Return the period of each component that is an angle, inf for all other components.
+    """Return the periods of the components that are angles, and inf for all others.
 
     Raises:
-        ValueError: declared periods that are not M positive numbers.
+        ValueError: the declared periods are not M positive numbers.
     """
     declared = getattr(measurement, "periods", None)
     if declared is None:
@@ -44,7 +44,7 @@ def periods(measurement: Measurement) -> tuple[float, ...]:
 def residual(measurement: Measurement, y: Tensor, y_pred: Tensor) -> Tensor:
     """Return y - y_pred, shape of y (..., M), angles wrapped to half a turn on either side of zero.
 
-    Used for all residuals: of filters, smoothers, fits and forecasts.
+    All filters, smoothers, fits and forecasts use it for their residuals.
 
     Raises:
         ValueError: the model's own residuals have a wrong shape.
@@ -62,7 +62,7 @@ def residual(measurement: Measurement, y: Tensor, y_pred: Tensor) -> Tensor:
 
 
 class Differing:
-    """Mixin of measurement models: `residual` as a method."""
+    """Mixin that gives measurement models the method `residual`."""
 
     def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
         """Return y - y_pred, shape (..., M), angles wrapped."""
@@ -99,8 +99,8 @@ def wrap(angle: Tensor, turn: float | Tensor = TURNS["rad"]) -> Tensor:
 def continuous(values: Tensor, periods: tuple[float, ...]) -> Tensor:
     """Unwrap the angles in samples (B, T, M).
 
-    A step counts as a wrap if it exceeds half a turn and most steps are below an eighth: sparse samples do
-    not determine the direction of an angle, and are unchanged.
+    A step counts as a wrap if it exceeds half a turn and most steps are below an eighth of a turn: sparse
+    samples do not determine the direction of rotation and are unchanged.
 
     Args:
         values: samples, NaN where missing.

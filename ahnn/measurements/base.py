@@ -1,4 +1,4 @@
-"""Measurement model protocols, and simulation of observations."""
+"""Protocols of measurement models, and simulation of observations."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Time = float | Tensor
 
 
 class Measurement(Protocol):
-    """Map of states to measurements; see `ahnn.measurements.angles` for residuals.
+    """Map from states to measurements; see `ahnn.measurements.angles` for residuals.
 
     Attributes:
         names: names of the M components.
@@ -46,7 +46,7 @@ class Sighted(Protocol):
 
 @runtime_checkable
 class Locating(Protocol):
-    """Measurement model from which positions can be estimated, as initial values of fits."""
+    """Measurement model whose measurements give positions, as initial values of fits."""
 
     def locate(self, y: Tensor, t: Time) -> Tensor:
         """Return the positions (..., n), or the full states (..., 2n), that produce y (..., M) at time t."""
@@ -55,7 +55,7 @@ class Locating(Protocol):
 
 @runtime_checkable
 class Sloped(Protocol):
-    """Measurement model with its own derivatives, which need not be differentiable by torch."""
+    """Measurement model with its own derivatives; torch need not be able to differentiate it."""
 
     def slope(self, x: Tensor, t: Time) -> Tensor:
         """Return the derivatives (B, M, D) with respect to the states x (B, D) at time t."""
@@ -66,10 +66,10 @@ def observe(measurement: Measurement, x: Tensor, t: Time) -> Tensor:
     """Return the measurements (..., M) of a sensor, NaN for states outside its field of view.
 
     The model itself, `measurement(x, t)`, is defined for every state: a filter needs it for sigma points
-    below the horizon while the satellite is above.
+    below the horizon while the satellite is above it.
 
     Args:
-        measurement: measurement model; without `in_view` the view is unlimited.
+        measurement: measurement model; its view is unlimited if it has no `in_view`.
         x: (..., D) states.
         t: common time, or one per state.
     """

@@ -30,17 +30,17 @@ class Biases(NamedTuple):
         memory: float | Sequence[float] | None,
         who: str = "",
     ) -> Biases | None:
-        """Build the biases of a sensor, or None.
+        """Build the biases of a sensor; None if there are none.
 
         Args:
             measurement: measurement model with M components.
-            deviations: common number, one per component, or as in `noise_deviations`; 0 for no bias; None for
-                no biases.
+            deviations: one number for all components, one for each, or as in `noise_deviations`; 0 for a
+                component without bias; None: no biases.
             memory: time constants, in the same format; None: constant biases.
             who: prefix of keys in messages.
 
         Raises:
-            UserError: wrong count, wrong sign, or a memory without bias.
+            UserError: wrong count, number out of range, or a memory without biases.
         """
         names = measurement.names
         if deviations is None:

@@ -1,9 +1,9 @@
 """Whitening of first-order coloured plus white noise, for measurements at arbitrary times.
 
 The noise of a component, in its standard deviations, is w + c: white noise of variance 1 - f, and first-order
-Gauss-Markov noise of variance f, with correlation exp(-t / memory) (Tapley, Schutz & Born 2004, section
-4.9). Filters estimate c as additional states (`ahnn.estimation.sensor_error`). A scalar Kalman filter of c in
-each row turns coloured residuals into white ones: innovations over their standard deviations. Its gains
+Gauss-Markov noise of variance f, with correlation exp(-t / memory) (Tapley, Schutz & Born 2004, section 4.9).
+Filters estimate c as additional states (`ahnn.estimation.sensor_error`). A scalar Kalman filter of c in each
+row turns coloured residuals into white ones: its innovations, divided by their standard deviations. Its gains
 depend only on times, so that whitening is a linear map, lower triangular in time.
 """
 
@@ -19,7 +19,7 @@ class Colour(NamedTuple):
     """Coloured part of the noise of M measured components.
 
     Attributes:
-        fractions: f, (M,), of the variance, from 0 to 1.
+        fractions: (M,) fractions f of the variance, from 0 to 1.
         memories: (M,) time constants, in the unit of time.
     """
 
@@ -42,7 +42,7 @@ class Whitening(NamedTuple):
 
     @classmethod
     def of(cls, colour: Colour, times: Tensor, there: Tensor) -> Whitening:
-        """Return the map of rows at times (B, T), with a mask of measured values, (B, T, M) bool."""
+        """Return the map for rows at times (B, T); `there` is the mask of measured values, (B, T, M)."""
         fractions, memories = (part.to(times) for part in colour)
         gaps = torch.nn.functional.pad(times.diff(dim=1), (1, 0))
         kept = (-gaps.unsqueeze(-1) / memories).exp()
@@ -83,5 +83,5 @@ class Whitening(NamedTuple):
 
 
 def _widened(part: Tensor, rows: Tensor) -> Tensor:
-    """Return (B, T, M) with as many dimensions as rows."""
+    """Reshape (B, T, M) to as many dimensions as `rows`."""
     return part.to(rows).reshape(*part.shape, *[1] * (rows.ndim - part.ndim))

@@ -16,8 +16,8 @@ from ahnn.numbers import as_float64, described
 class GnssRange(Differing):
     """Pseudoranges to N satellites at given positions, in the frame and unit of the state.
 
-    Between table rows a polynomial of the given order through the nearest rows is used, see
-    `ahnn.measurements.interpolation`; at row times the result equals the table.
+    Between table rows, positions are interpolated by a polynomial through the nearest rows (see
+    `ahnn.measurements.interpolation`); at row times the result equals the table.
 
     Args:
         positions: (N, 3), or a (T, N, 3) table with one row for each of `times`.

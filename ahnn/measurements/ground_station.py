@@ -1,6 +1,6 @@
 """Ground station observing a satellite with state [position, momentum] in an inertial frame.
 
-Refraction and polar motion are not modelled; light time is, for measurements tagged with its ends.
+Refraction and polar motion are not modelled. Light time is modelled if times tag reception or transmission.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ LIGHT = 299792.458
 Event = Literal["bounce", "receive", "transmit"]
 """Events tagged by measurement times: bounce at the satellite, reception or transmission at the station."""
 TO_BOUNCE = {"bounce": 0.0, "receive": -1.0, "transmit": 1.0}
-"""Light times from each event to the bounce."""
+"""Number of light times from each event to the bounce."""
 
 Degrees = Annotated[float, Within(-90, 90)]
 """Latitude or elevation in degrees."""
@@ -40,25 +40,26 @@ Degrees = Annotated[float, Within(-90, 90)]
 class GroundStation(Differing):
     """Range, azimuth, elevation and optionally range-rate from a point on the rotating Earth.
 
-    Azimuth is measured from north through east, in (-pi, pi]; elevation from the plane normal to the
+    Azimuth is measured from north through east, in (-pi, pi]; elevation from the plane perpendicular to the
     ellipsoid's normal, in [-pi/2, pi/2]. Conversions: Vallado 2013, algorithms 27 (range, azimuth, elevation)
     and 51 (geodetic site coordinates).
 
     Args:
-        latitude: geodetic, degrees.
+        latitude: geodetic latitude, degrees.
         longitude: degrees, positive east.
-        height: above the ellipsoid, km.
+        height: height above the ellipsoid, km.
         range_rate: whether to measure the range-rate.
-        earth_angle: angle of the Greenwich meridian from the inertial x axis at t = 0, rad; None is 0. Or the
-            (3, 3) matrix from the inertial axes to the Earth's at t = 0, which turn about their own z axis.
+        earth_angle: angle of the Greenwich meridian from the inertial x axis at t = 0, rad; None for 0. Or
+            the (3, 3) matrix from the inertial axes to the Earth's axes at t = 0; the Earth rotates about its
+            z axis.
         rotation_rate: rotation rate of the Earth, rad/s.
         radius: equatorial radius, km.
         flattening: flattening of the ellipsoid; 0 for a sphere.
         mass: mass of the satellite in kg; the range rate is computed from the velocity p / mass.
         min_elevation: minimum elevation in degrees. 0 is the horizon, -90 means unlimited view.
         event: event tagged by the times of measurements. With `bounce`, geometry is instantaneous. Otherwise
-            the light time there and back counts: a range is half the path, and positions move by their
-            velocities.
+            the two-way light time is included: a range is half the two-way path, and satellite and station
+            move with their velocities.
 
     Raises:
         UserError: a number is not finite or outside its limits.
@@ -107,7 +108,7 @@ class GroundStation(Differing):
         if self.to_bounce:
             delay = self.to_bounce * line.square().sum(-1, keepdim=True).sqrt() / LIGHT
             line = line + delay * x[..., 3:6] / self.mass
-            other = line - 2 * delay * drift  # from the station's position at the other end
+            other = line - 2 * delay * drift  # from the station at the other end of the path
         east, north, up = (line.unsqueeze(-2) @ axes).squeeze(-2).unbind(-1)
         distance = line.square().sum(-1).sqrt()
         elevation = torch.atan2(up, torch.hypot(east, north))
@@ -132,7 +133,7 @@ class GroundStation(Differing):
         return (seen[..., 2:3] >= self.min_elevation).expand_as(seen)
 
     def _frame(self, like: Tensor, t: Time) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the station's position, its axes east, north, up as columns, and its velocity, inertial.
+        """Return the station's inertial position, axes (east, north, up as columns) and velocity.
 
         Shapes (..., 3), (..., 3, 3) and (..., 3), leading dimensions as for t.
         """

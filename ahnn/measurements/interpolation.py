@@ -18,9 +18,9 @@ def lagrange(times: Tensor, values: Tensor, t: float, order: int) -> Tensor:
 
         max |f^(n+1)| |(t - t_0) ... (t - t_n)| / (n+1)!,    n = order,
 
-    (Stoer & Bulirsch 2002, theorem 2.1.4.1), smallest in the middle of the table: for a circular orbit of
-    radius r and angular rate w, |f^(n+1)| = r w^(n+1). A GPS orbit (26,560 km, 12 h) tabulated every 15 min
-    is interpolated with order 8 to 0.2 mm in the middle and to 5 mm next to the ends of the table.
+    (Stoer & Bulirsch 2002, theorem 2.1.4.1). It is smallest in the middle of the table. For a circular orbit
+    of radius r and angular rate w, |f^(n+1)| = r w^(n+1). A GPS orbit (26,560 km, 12 h) tabulated every 15
+    min is interpolated with order 8 to 0.2 mm in the middle and to 5 mm next to the ends of the table.
 
     Args:
         times: (T,) increasing, T > order.

@@ -26,8 +26,8 @@ def noise_deviations(
     Args:
         measurement: the model, with M components.
         given: one number for all components, or one for each; for states also one for positions and one for
-            momenta; for several instruments of equal size, the values for one of them. None: the model's own
-            (`deviations`), an error if it has none.
+            momenta; for several instruments of equal size, the values for one of them. None: the model's
+            `deviations`, which must then exist.
         who: the parameter, for messages.
         names: names of the components, for messages; None: the names in the model.
 
@@ -48,7 +48,7 @@ def noise_deviations(
 
 
 def for_each_component(measurement: Measurement, given: float | Sequence[float] | None) -> list[float]:
-    """Expand numbers as in `noise_deviations` to one per component; other counts are unchanged."""
+    """Expand numbers to one per component as in `noise_deviations`; lists of other lengths are unchanged."""
     size, states = len(measurement.names), isinstance(measurement, State)
     given = getattr(measurement, "deviations", None) if given is None else given
     values = [*given] if isinstance(given, Sequence) else [] if given is None else [given]

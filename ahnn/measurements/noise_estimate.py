@@ -1,4 +1,4 @@
-"""Unknown noise parameters of measurements before training, and their estimates after it."""
+"""Unknown parameters of measurement noise, and their estimates after training."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ahnn.measurements.coloured_noise import Colour
 from ahnn.measurements.segment import Instrument
 
 TOLD = 0.5
-"""A bias was not determined if its standard deviation is still this fraction of its prior's."""
+"""A bias counts as undetermined if its standard deviation is at least this fraction of the prior one."""
 
 
 class UnknownNoise(NamedTuple):
@@ -47,12 +47,12 @@ class NoiseEstimate:
         deviations: standard deviations.
         stated: stated values; empty if not estimated.
         fractions: coloured fractions of the variance; empty if not estimated.
-        memories: time constants of that part.
-        bias: offset of readings from the truth; empty if not estimated.
+        memories: time constants of the coloured part.
+        bias: offset of readings from the true values; empty if not estimated.
         bias_sd: standard deviations of the bias.
-        prior_sd: prior standard deviations of biases, 0 without bias.
-        freedom: degrees of freedom of Student's noise, whose scales are the deviations; 0 where they cannot
-            be distinguished from normal noise; empty if not estimated.
+        prior_sd: prior standard deviations of biases, 0 for a component without bias.
+        freedom: degrees of freedom of Student's noise, whose scales are the deviations; 0 where the noise
+            cannot be distinguished from normal noise; empty if not estimated.
         freedom_low, freedom_high: ends of their 95 % interval; 0 if the upper end is unbounded.
         scale_sd: standard deviations of the scales.
     """
@@ -70,10 +70,10 @@ class NoiseEstimate:
     scale_sd: list[NonNegative] = field(default_factory=list)
 
     def applied(self, instrument: Instrument, unknown: UnknownNoise) -> Instrument:
-        """Return the instrument with its noise completed by the estimates.
+        """Return the instrument with the estimated noise.
 
         Raises:
-            UserError: the estimate has a different number of columns.
+            UserError: the estimate has a different number of components.
         """
         size = len(instrument.deviations)
         if any(values and len(values) != size for values in asdict(self).values()):
@@ -95,7 +95,7 @@ class NoiseEstimate:
         )
 
     def about(self) -> dict[str, Any]:
-        """Return plain values."""
+        """Return the estimate as plain values."""
         return asdict(self)
 
     def sentences(self, names: tuple[str, ...], units: tuple[str, ...]) -> list[str]:

@@ -19,7 +19,7 @@ def every(measurements: Numbers, k: int) -> Tensor:
     Raises:
         ValueError: k is not a positive integer, or measurements are not (B, T, M).
     """
-    # NaN has no remainder, so it is rejected too.
+    # The remainder of NaN is NaN, so NaN is rejected too.
     if k < 1 or k % 1 != 0:
         message = f"every: expected a cadence of a whole number of steps, at least 1; received {k}"
         raise ValueError(message)
@@ -33,7 +33,7 @@ class Schedule(NamedTuple):
 
     Attributes:
         dt: (T,) lengths of the steps.
-        measurements: (B, T, M), NaN in the steps between.
+        measurements: (B, T, M), NaN at steps without a measurement.
     """
 
     dt: Tensor
@@ -53,8 +53,8 @@ def schedule(times: Numbers, measurements: Numbers, max_step: float, start_time:
         start_time: time of the initial belief.
 
     Raises:
-        ValueError: times are not (K,), finite and increasing from the start, K differs or is zero, or
-            max_step is not positive.
+        ValueError: times are not (K,), finite and increasing from the start, K is zero or differs from that
+            of the measurements, or max_step is not positive.
     """
     given, ends = _rows(measurements, "schedule"), as_float64(times, "schedule: times")
     if ends.ndim != 1 or len(ends) == 0 or given.shape[1] != len(ends):

@@ -23,7 +23,7 @@ class Instrument(NamedTuple):
         dof: degrees of freedom n of the motion.
         inertia: factor m of p = m dq/dt, for momenta from measured positions.
         width: number of samples on either side within which the motion is cubic up to the noise.
-        bias: (M,) offset of readings from the truth; None for zeros.
+        bias: (M,) offset of readings from the true values; None for zeros.
         bias_sd: (M,) standard deviations of the offset, 0 if known; None for zeros.
         colour: correlation of the noise; None for white noise.
         freedom: (M,) degrees of freedom of Student's noise, whose scales are the deviations, inf where it is
@@ -89,7 +89,7 @@ class Segment(NamedTuple):
         return None if colour is None else Whitening.of(colour, self.times, ~self.values.isnan())
 
     def white_residuals(self, states: Tensor) -> Tensor:
-        """Return `residuals` whose noise is white, (B, K + 1, M)."""
+        """Return `residuals`, whitened if their noise is coloured, (B, K + 1, M)."""
         whitening, rows = self.whitening, self.residuals(states)
         return rows if whitening is None else whitening(rows)
 

@@ -13,13 +13,13 @@ from ahnn.measurements.base import Locating, Measurement, Sighted, Time
 
 
 class Several:
-    """Concatenated measurements of several models, NaN for models that do not have the state in view.
+    """Concatenated measurements of several models, each with its own field of view.
 
     Args:
-        models: at least one; names are prefixed with the number of their model, from 1.
+        models: at least one; component names are prefixed with the number of the model, from 1.
 
     Raises:
-        ValueError: no model.
+        ValueError: there is no model.
     """
 
     def __init__(self, models: Sequence[Measurement]) -> None:

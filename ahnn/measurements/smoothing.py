@@ -1,4 +1,4 @@
-"""States and rates from noisy measurements, by polynomials local in time.
+"""States and rates from noisy measurements, by local polynomials in time.
 
 No dynamics are needed; the results provide scalings and initial values of fits.
 """
@@ -27,9 +27,9 @@ class Local(NamedTuple):
     Attributes:
         value, rate, curvature: (E, C) value at the centre, and first and second derivatives.
         error: (E, C) difference of the central sample from the polynomial through all other samples.
-        leverage: (E,) weight of that sample in its own polynomial.
+        leverage: (E,) weight of the central sample in the value at the centre.
         width: number of fitted samples on either side.
-        chosen: (E, 2) row and column of the central samples; None for the first sample.
+        chosen: (E, 2) row and column of the central samples; None for the first samples of segments.
     """
 
     value: Tensor
@@ -93,7 +93,7 @@ def smoothed(instrument: Instrument, values: Tensor, times: Tensor, count: int, 
         values: (B, T, M) measurements.
         times: (B, T) times.
         count: approximate number of samples.
-        seed: seed of their selection.
+        seed: seed of the random selection.
     """
     rows = located_at(instrument, values, times).isfinite().all(-1).nonzero()
     draw = torch.randperm(len(rows), generator=torch.Generator().manual_seed(seed))[:count]
@@ -119,8 +119,8 @@ def scale_of(local: Local) -> Tensor:
 def around(instrument: Instrument, values: Tensor, times: Tensor, chosen: Tensor, width: int) -> Local:
     """Fit polynomials to `width` samples on either side of chosen ones, (E, 2) row and column.
 
-    Samples with too few neighbours, such as the only one of a pass, are omitted. For trajectories too short
-    for a cubic the degree is reduced.
+    Samples with too few neighbours, such as the only one of a pass, are omitted. The degree is reduced for
+    trajectories too short for a cubic.
     """
     degree = min(DEGREE, max(0, values.shape[1] - 2))
     offsets = torch.arange(-width, width + 1)

@@ -1,15 +1,17 @@
 """Any number of ground stations in one YAML file: their coordinates, measured kinds, noise and biases.
 
-kiruna:
-latitude: 67.86            # degrees, geodetic
-longitude: 20.96
-height: 400                # m
-min_elevation: 10          # degrees
-event: receive             # or transmit; times tag this event. Default: bounce, without light time
-noise: {range: 0.05, azimuth: 0.006, elevation: 0.006}     # km, degrees, km/s; these kinds are measured
-bias: {range: 0.02}        # known biases of these kinds
-bias_sd: {range: 0.1}      # standard deviations of biases to estimate
-troll: [-72.0, 2.5, 1270]    # latitude, longitude, height
+A file with two stations:
+
+    kiruna:
+      latitude: 67.86            # degrees, geodetic
+      longitude: 20.96
+      height: 400                # m
+      min_elevation: 10          # degrees
+      event: receive             # or transmit; times tag this event. Default: bounce, without light time
+      noise: {range: 0.05, azimuth: 0.006, elevation: 0.006}   # km, degrees, km/s; these kinds are measured
+      bias: {range: 0.02}        # known biases of these kinds
+      bias_sd: {range: 0.1}      # standard deviations of biases to estimate
+    troll: [-72.0, 2.5, 1270]    # latitude, longitude, height
 """
 
 from __future__ import annotations
@@ -42,10 +44,10 @@ class StationEntry:
 
     Attributes:
         latitude, longitude: geodetic, degrees.
-        height: m above the ellipsoid.
+        height: height above the ellipsoid in m.
         min_elevation: minimum elevation in degrees.
-        event: event tagged by times; None if not stated.
-        noise: standard deviations by kind, km, degrees and km/s.
+        event: event tagged by measurement times; None if not stated.
+        noise: standard deviations by kind, in km, degrees and km/s.
         bias: known biases, likewise.
         bias_sd: standard deviations of the biases, likewise.
     """
@@ -66,12 +68,12 @@ class StationEntry:
 
 
 def read_stations(path: str | Path) -> dict[str, StationEntry]:
-    """Return the stations of a file; raises UserError for an invalid entry, with its place."""
+    """Return the stations of a file. An invalid entry raises UserError, which names it."""
     return {name: entry_of(value, f"{path}: {name}") for name, value in read_plain(Path(path)).items()}
 
 
 def entry_of(value: Any, who: str) -> StationEntry:
-    """Return a station of plain values; raises UserError."""
+    """Build a station from plain values; raises UserError if they are invalid."""
     if isinstance(value, list) and len(value) == 3:
         value = dict(zip(("latitude", "longitude", "height"), value, strict=True))
     if not isinstance(value, Mapping):
@@ -94,7 +96,7 @@ def entry_of(value: Any, who: str) -> StationEntry:
 
 
 class BiasedStation(Differing):
-    """A station of a file with its known biases; it measures the kinds that have a noise.
+    """Station of a file with its known biases; it measures the kinds for which `noise` is given.
 
     Args:
         entry: entry of the file.
@@ -152,10 +154,10 @@ class BiasedStation(Differing):
 
 
 class StationsOfFile(Several):
-    """The stations of a file, side by side; components include the station name, such as `kiruna.range`.
+    """All stations of a file as one model; component names include the station, such as `kiruna.range`.
 
     Args:
-        file: path of the stations, see `ahnn.measurements.station_file`.
+        file: path of the file, see `ahnn.measurements.station_file`.
         earth_angle: see `GroundStation`.
         mass: mass of the satellite in kg.
         only: names of the stations to use; None for all.
@@ -163,10 +165,10 @@ class StationsOfFile(Several):
     Attributes:
         stations: stations by name.
         deviations: standard deviations of all components.
-        bias_sd: standard deviations of their biases, 0: no bias.
+        bias_sd: standard deviations of their biases, 0 for no bias.
 
     Raises:
-        UserError: no station, or an invalid one.
+        UserError: an invalid or unknown station. ValueError: no station.
     """
 
     def __init__(

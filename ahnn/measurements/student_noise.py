@@ -1,11 +1,11 @@
 """Student's noise: normal scores of residuals, alone and with a normal error of the prediction.
 
-The normal score of a residual e is z = Phi^-1(F(e)) with the distribution F that it should have: where F is
-right, z is standard normal whatever the tails, so that tests of normal residuals apply to z.
+The normal score of a residual e is z = Phi^-1(F(e)), where F is its assumed distribution: if F is right, z is
+standard normal whatever the tails of F, so that tests of normal residuals apply to z.
 
 Student's noise with nu degrees of freedom is normal noise of variance 1 / g with g ~ Gamma(nu / 2, nu / 2)
-(Lange, Little & Taylor 1989, J. Am. Stat. Assoc. 84, 881-896). With a normal error of variance v it is a
-mixture over g of normal errors of variance 1 / g + v.
+(Lange, Little & Taylor 1989, J. Am. Stat. Assoc. 84, 881-896). Together with a normal error of variance v it
+is a mixture over g of normal errors of variance 1 / g + v.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 NODES, REACH = 161, 8.0
-"""Quadrature over g: points of the standard normal quantile of g, evenly spaced, and the largest."""
+"""Quadrature over g: number of evenly spaced standard normal quantiles of g, and the largest one."""
 FARTHEST = 37.0
 """Largest score: beyond it probabilities underflow."""
 
@@ -25,7 +25,8 @@ def normal_scores(e: Tensor, freedom: Tensor, variance: Tensor | None = None) ->
     Args:
         e: residuals in scales of the noise, (..., M); 0 stays 0.
         freedom: degrees of freedom, (M,), inf for normal noise.
-        variance: of an independent normal error in addition to the noise, in squared scales, (..., M).
+        variance: variance of an additional independent normal error, in squared scales, (..., M); None for
+            none.
     """
     nu = freedom.expand_as(e)
     tail = _tail(e.abs(), nu) if variance is None else _mixed_tail(e.abs(), nu, variance)

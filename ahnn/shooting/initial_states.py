@@ -1,8 +1,8 @@
 """Fit of unknown initial states of segments to measurements, with fixed dynamics.
 
 Each segment is a separate least-squares problem in D unknowns, solved by Levenberg-Marquardt with individual
-damping; a batch is solved simultaneously. Since an inaccurate initial state diverges over a long segment, it
-is first fitted over growing spans.
+damping; a batch is solved simultaneously. The path from an inaccurate initial state diverges over a long
+segment, so the state is first fitted over growing spans.
 """
 
 from __future__ import annotations
@@ -22,39 +22,39 @@ from ahnn.shooting.robust import ROBUST, Robust
 SHORTEST = 4
 """Minimum number of intervals of the first span."""
 GROWTH, SLOW_GROWTH = 4, 2
-"""Growth factors of spans, and of those of a segment that has lost its path."""
+"""Growth factors of spans, in a first fit and in the refit of a segment that has lost its path."""
 HOPELESS = 1e9
-"""Mean squared residual at which a segment is abandoned; poorly fitting ones are only limited."""
+"""Mean squared residual at which a segment is abandoned; the cost of poorly fitting ones is only limited."""
 ROUGHLY, ITERATIONS = 3, 8
-"""Number of iterations on a growing span, and on the complete one."""
+"""Numbers of iterations on a growing span and on the complete one."""
 LOST = 25.0
-"""Mean squared residual above which trained dynamics do not explain a segment."""
+"""Mean squared residual above which trained dynamics do not fit a segment."""
 WORSE = 3.0
-"""Multiple of the mean squared residual of the best segment above which a fit may have lost its path."""
+"""Mean squared residual, relative to that of the best segment, above which a fit may have lost its path."""
 SETTLED = 1e-3
 """Change of a segment's chi-square below which the fit has converged."""
 SMALLEST, LARGEST = 1e-9, 1e9
 """Range of the damping."""
 WARY, SURE = 1e-5, 1e-7
-"""Initial damping of a guessed initial state, and of one fitted before a parameter step.
+"""Initial damping for a guessed initial state, and for one fitted before a parameter step.
 
-A shift along an orbit grows with time and hides the other directions of a start, down to a fraction of 1e-5.
+The effect of a shift along an orbit grows with time; that of other directions may be only 1e-5 as large.
 """
 REFITS = 2
 """Number of refitting steps after a parameter step, with the previous derivatives."""
 FOLLOWING = 4
 """Maximum number of steps with new derivatives, after the long final step of the training."""
 ROWS = 100
-"""Minimum number of paths propagated together, even if two cores could share them."""
+"""Number of paths up to which a batch is not divided between two cores."""
 
 
 class Trial(NamedTuple):
-    """Flow for comparison with measurements.
+    """Flow that is compared with measurements.
 
     Attributes:
         exact: increments in float64.
-        jacobians: Jacobians of steps, (B, N, D, D), at states (B, N, D) over lengths (B, N). They only
-            determine step directions and may be in float32; acceptance is decided by exact increments.
+        jacobians: (states (B, N, D), lengths (B, N)) -> Jacobians of the steps, (B, N, D, D). They only
+            determine step directions and may be in float32; exact increments decide acceptance.
         robust: robust loss of normalised residuals.
     """
 
@@ -70,8 +70,8 @@ class Linearised(NamedTuple):
         jacobians: Jacobians of the path's steps, (B, N, D, D).
         residuals: (B, K + 1, M) predicted - measured in standard deviations, whitened where their noise is
             coloured, times the square root of their weights.
-        of_state: (B, K + 1, M, D) their derivative with respect to the state at their time;
-            if residuals are whitened, the derivative of the original residuals.
+        of_state: (B, K + 1, M, D) their derivative with respect to the state at the same time; if residuals
+            are whitened, the derivative before whitening.
         of_start: (B, K + 1, M, D) derivative with respect to the initial state.
     """
 
@@ -90,7 +90,7 @@ class Fitted(NamedTuple):
 
     Attributes:
         states: (B, N + 1, D) along the path, initial state first; NaN where abandoned.
-        sums: (B,) twice the robust loss, the squared residuals; inf for a diverged path.
+        sums: (B,) twice the robust loss, or the sum of squared residuals; inf for a diverged path.
     """
 
     states: Tensor
@@ -143,9 +143,9 @@ def fit_starts(
 ) -> Fitted:
     """Fit each segment from `start`, shape (B, D), over spans that grow by a factor.
 
-    A segment whose mean squared residual exceeds `hopeless` on one span is not tried on longer ones. An
-    outlier among the first samples spoils the initial values: a redescending loss could not recover, and is
-    therefore preceded by a convex one.
+    A segment whose mean squared residual exceeds `hopeless` on one span is not fitted on longer ones. An
+    outlier among the first samples spoils the initial values, from which a redescending loss could not
+    recover; a convex loss is therefore used first.
     """
     intervals, start = len(steps.ends) - 1, start.clone()
     name = trial.robust.approach
@@ -169,10 +169,10 @@ def fit_starts(
 def follow_starts(
     trial: Trial, start: Tensor, segment: Segment, steps: Steps, hopeless: float = HOPELESS
 ) -> Fitted:
-    """Fit each segment from the start (B, D) that fitted similar dynamics.
+    """Fit each segment from initial states (B, D) that were fitted with similar dynamics.
 
-    On a chaotic path a small change of the dynamics moves the end beyond the linear range. A segment that
-    fits much worse than the best one is fitted again over growing spans.
+    On a chaotic path a small change of the dynamics moves the end of the path beyond the linear range. A
+    segment that fits much worse than the best one is fitted again over growing spans.
     """
     fitted = refine(trial, start, segment, steps, FOLLOWING, SURE)
     return regained(trial, fitted, start, segment, steps, hopeless)
@@ -182,7 +182,7 @@ def follow_starts(
 def regained(
     trial: Trial, fitted: Fitted, start: Tensor, segment: Segment, steps: Steps, hopeless: float = HOPELESS
 ) -> Fitted:
-    """Fit segments that fit much worse than the best one again from the starts (B, D), over slow spans."""
+    """Refit segments that fit much worse than the best one, from `start` (B, D) over slowly growing spans."""
     if not len(start):
         return fitted
     squares = fitted.sums / segment.measured.clamp(min=1)
@@ -233,7 +233,7 @@ def refine(
 def refit(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Fitted:
     """Refit from initial states that were optimal before a parameter step.
 
-    Since they are close, the derivatives of the first of two steps are reused for the second.
+    They are close to the new optimum, so the second step reuses the derivatives of the first.
     """
     fitted = followed(trial, start, segment, steps)
     design = linearised(trial, fitted.states, segment, steps).of_start.flatten(1, 2)
@@ -249,9 +249,9 @@ def refit(trial: Trial, start: Tensor, segment: Segment, steps: Steps) -> Fitted
 
 
 def damped_moves(design: Tensor, rows: Tensor, damping: Tensor) -> Tensor:
-    """Return Marquardt's steps (B, D) of problems with Jacobians (B, R, D) and residuals (B, R).
+    """Return Marquardt steps (B, D) of problems with Jacobians (B, R, D) and residuals (B, R).
 
-    Problems that are not finite or have no measurements get zero steps.
+    Problems with non-finite values or without measurements get zero steps.
     """
     lost = ~(design.isfinite().all(-1).all(-1) & rows.isfinite().all(-1))
     design, rows = design.masked_fill(lost[:, None, None], 0), rows.masked_fill(lost[:, None], 0)

@@ -1,9 +1,8 @@
 """Normal points: compression of neighbouring measurements to one time, as in laser ranging.
 
-The effect of the initial state on a path is preserved exactly, while the effect of parameters within a group
-is
-neglected: for an effect that grows with t², a fraction of (τ / t)². Residuals are exact, so that the optimum
-is unchanged.
+The effect of the initial state on a path is preserved exactly. The effect of parameters within a group is
+neglected: for an effect that grows with t², a fraction (τ / t)², with the duration τ of a group. Residuals
+are exact, so the optimum is unchanged.
 """
 
 from __future__ import annotations
@@ -16,14 +15,14 @@ from ahnn.shooting.initial_states import Linearised
 from ahnn.shooting.path_sensitivities import transitions
 
 POINTS = 200
-"""Minimum number of measurement groups per path, and less than half of the maximum."""
+"""Minimum number of groups on a path with at least as many measurement times; the maximum is 2 POINTS - 1."""
 
 
 def normal_points(now: Linearised, ends: Tensor) -> tuple[Linearised, Tensor]:
-    """Return residuals with equal normal equations, and the indices of their path states, (G,).
+    """Return compressed residuals with the same normal equations, and the indices of their path states, (G,).
 
-    A group has at most as many rows as observed state components: 15 rows of five stations with three values
-    at one time become 3.
+    Each group is reduced to one row per observed state component: 15 values at one time, three from each of
+    five stations, become 3.
 
     Args:
         now: residuals at K + 1 times.
@@ -44,7 +43,7 @@ def normal_points(now: Linearised, ends: Tensor) -> tuple[Linearised, Tensor]:
 
 
 def _of_middles(now: Linearised, ends: Tensor, size: int) -> tuple[Tensor, Tensor]:
-    """Return derivatives (B, G, size M, D) with respect to the central states of groups, and these states."""
+    """Return derivatives with respect to central states of groups, (B, G, size M, D), and their indices."""
     last = len(ends) - 1
     middles = ends[torch.arange(size // 2, last + size // 2 + 1, size).clamp(max=last)]
     moved = transitions(now.jacobians.to(now.of_state), set(ends[::size].tolist()))

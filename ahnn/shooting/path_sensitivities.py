@@ -33,7 +33,7 @@ class Steps(NamedTuple):
 
     @property
     def shares(self) -> list[tuple[float, float]]:
-        """Quadrature weights at begin and end of each step, as fractions of its length; N pairs."""
+        """Quadrature weights at the beginning and end of each step, as fractions of its length; N pairs."""
         rule = [(1 / 3, 2 / 3), (2 / 3, 1 / 3)] if self.quartered else [(0.5, 0.5)]
         return rule * (self.lengths.shape[1] // len(rule))
 
@@ -58,7 +58,7 @@ class Steps(NamedTuple):
 def steps_between(times: Tensor, longest: float) -> Steps:
     """Build steps that end at all times (B, K + 1), none longer than `longest`.
 
-    An interval has the same number of steps in every row: as many as the longest one needs.
+    An interval has the same number of steps in every row: as many as its longest row needs.
     """
     gaps = times.diff(dim=1)
     counts = substeps_of_each(gaps.amax(0), longest)
@@ -102,16 +102,15 @@ def transitions(jacobians: Tensor, anew: Collection[int] = ()) -> Tensor:
 def sensitivities(jacobians: Tensor, forcing: Tensor, steps: Steps, first: Tensor | None = None) -> Tensor:
     """Return dx_k/dtheta at the measurement times, shape (B, K + 1, D, P).
 
-    Solves the variational equation dS/dt = f_x S + f_theta with exact transitions and an integral by the
-    trapezoidal or Simpson's rule: the relative error O(dt^2) or O(dt^4) affects step directions only, not the
-    residuals.
+    Solves the variational equation dS/dt = f_x S + f_theta with exact transitions and the trapezoidal or
+    Simpson's rule: the relative error O(dt^2) or O(dt^4) affects step directions only, not the residuals.
 
     Args:
         jacobians: Jacobians of the steps, (B, N, D, D).
-        forcing: f_theta, the derivative of the field with respect to the parameters, (B, N + 1, L, P), of
-            its last L components; zero for all other components.
+        forcing: f_theta, (B, N + 1, L, P): derivative of the last L components of the field with respect to
+            the parameters; that of the others is zero.
         steps: step lengths, and indices of the requested states.
-        first: dx_0/dtheta, (B, D, P); None for zero, a fixed initial state.
+        first: dx_0/dtheta, (B, D, P); None for a fixed initial state.
     """
     rows, size = jacobians.shape[0], jacobians.shape[-1]
     driven = slice(size - forcing.shape[2], None)

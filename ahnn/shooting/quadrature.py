@@ -1,4 +1,4 @@
-"""Error of the trapezoidal rule along a path, and decision to quarter steps for Simpson's rule."""
+"""Error of the trapezoidal rule along a path, which decides whether to quarter steps for Simpson's rule."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ from torch import Tensor
 Field = Callable[[Tensor], Tensor]
 """States (..., D) -> their rates, (..., D)."""
 COARSE = 3e-3
-"""Relative error of the trapezoidal rule, in units of the field, above which steps are quartered.
+"""Error of the trapezoidal rule, relative to the field, above which steps are quartered.
 
-An initial state compensates all but 1e-5 of the effect of parameters on a path: quadrature errors of that
-size
-look like information on parameters that no measurement determines, or like an unpredictable path.
+The initial state can compensate all but 1e-5 of the effect of parameters on a path: quadrature errors of that
+size look like information about parameters that no measurement determines, or like an unpredictable path.
 """
 
 
@@ -30,8 +29,8 @@ def coarse(field: Field, states: Tensor, lengths: Tensor) -> bool:
 def rule_error(field: Field, states: Tensor, lengths: Tensor) -> Tensor:
     """Estimate the relative error of the trapezoidal rule for forces along each path, shape (B,).
 
-    It is h^2 / 12 times their second derivative; non-finite steps are ignored, and a path without two
-    consecutive steps has infinite error.
+    It is h^2 / 12 times the second derivative of the forces, relative to the forces; non-finite steps are
+    ignored, and a path without two consecutive steps has infinite error.
 
     Args:
         field: field whose forces, the last half of the rates, are used.

@@ -1,8 +1,8 @@
 """Robust losses of normalised residuals, by iterative reweighting.
 
-A loss rho(e) with the weight w = rho'(e) / e has the gradient of w e^2 / 2 with w fixed, and that parabola
-bounds it from above: a Gauss-Newton step on weighted residuals decreases it (iteratively reweighted least
-squares; Huber 1981, section 7.8).
+A loss rho(e) with weight w = rho'(e) / e has the same gradient as the parabola w e^2 / 2 with fixed w, which
+bounds it from above: a Gauss-Newton step on weighted residuals decreases the loss (iteratively reweighted
+least squares; Huber 1981, section 7.8).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ HUBER = 1.345
 FREEDOM = 4.0
 """Degrees of freedom of Student's distribution (Lange, Little & Taylor 1989)."""
 NORMAL_FREEDOM = 1e12
-"""Degrees of freedom in place of infinitely many: the loss is that of squares to all digits."""
+"""Finite substitute for infinite degrees of freedom: the loss equals that of squares to all digits."""
 
 
 class Robust(NamedTuple):
@@ -44,10 +44,10 @@ def _huber(e: Tensor) -> Tensor:
 
 
 def student(freedom: float | Tensor) -> Robust:
-    """Return the loss of Student's distribution: minus twice its logarithm, but for a constant.
+    """Return the loss of Student's distribution: minus twice its log density, up to a constant.
 
     Args:
-        freedom: degrees of freedom, common or one for each of M components, (M,); inf is normal noise.
+        freedom: degrees of freedom, one number or (M,) for M components; inf for normal noise.
     """
     nu = torch.as_tensor(freedom, dtype=torch.float64).clamp(max=NORMAL_FREEDOM)
     return Robust(
@@ -68,14 +68,15 @@ ROBUST: dict[str, Robust] = {
 
 
 def loss_of(name: RobustName, freedom: Tensor | None) -> Robust:
-    """Return the likelihood of Student's noise with degrees of freedom (M,), or the named loss without."""
+    """Return the loss of Student's noise with degrees of freedom (M,), or the named loss if None."""
     return ROBUST[name] if freedom is None else student(freedom)
 
 
 def informative(freedom: Tensor | None) -> Robust:
-    """Return squares weighted by the information of a residual with Student's noise, (nu + 1) / (nu + 3).
+    """Return squares weighted by the Fisher information of a residual, (nu + 1) / (nu + 3).
 
-    Of normal noise it is 1. A start fitted by `loss_of` has the covariance that these squares have.
+    The weight is 1 for normal noise. The covariance of an initial state fitted by `loss_of` follows from
+    these squares.
     """
     if freedom is None:
         return ROBUST["none"]
@@ -84,7 +85,7 @@ def informative(freedom: Tensor | None) -> Robust:
 
 
 def information(freedom: Tensor) -> Tensor:
-    """Return Fisher's information of a residual about its mean, in squared scales, (M,)."""
+    """Return the Fisher information of a residual about its mean, in inverse squared scales, (M,)."""
     return torch.where(freedom.isinf(), 1.0, (freedom + 1) / (freedom + 3))
 
 
@@ -92,8 +93,7 @@ def variance(robust: Robust, e: Tensor) -> float:
     """Return the factor that makes (J^T W J)^-1 a covariance, in units of the mean cost.
 
     W is the matrix of weights. A fit by rho has the covariance E rho'^2 / (E rho'')^2 (J^T J)^-1 (Huber 1981,
-    section
-    7.6); for squares it is (J^T J)^-1 times their mean, and the factor is 1.
+    section 7.6); for squares it is (J^T J)^-1 times their mean, and the factor is 1.
 
     Args:
         robust: robust loss rho.

@@ -19,7 +19,7 @@ from torch import Tensor
 from ahnn.training.normal_equations import Block, damped_step, metric
 
 LONGEST = 0.75
-"""Maximum length of the acceleration relative to the step, beyond which two terms are insufficient."""
+"""Maximum length of the acceleration relative to the step; beyond it two terms are insufficient."""
 REACH = 0.1
 """Displacement of the finite difference for the second derivative, as a fraction of the step."""
 
@@ -29,7 +29,7 @@ class Bends(Protocol):
     """Problem that provides the second derivative of its residuals along a step."""
 
     def bend(self, theta: Tensor, step: Tensor, reach: float) -> Tensor:
-        """Return J^T r_vv at theta for the step v, by differences over a fraction of it; all shape (P,)."""
+        """Return J^T r_vv, (P,), at theta for the step v, by differences over the fraction `reach` of it."""
         ...
 
 
@@ -46,6 +46,6 @@ def accelerated(
 
 
 def _length(step: Tensor, blocks: Sequence[Block]) -> float:
-    """Return the length of a step in the metric of the damping, D."""
+    """Return the length of a step in the metric D of the damping."""
     squares = (metric(block) @ step[block.columns].square() for block in blocks)
     return sum(float(square) for square in squares) ** 0.5

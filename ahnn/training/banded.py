@@ -1,4 +1,4 @@
-"""Banded covariances of sums that overlap only with their neighbours, with cheap whitening."""
+"""Banded covariances of sums, each of which overlaps only with its neighbours, and their cheap whitening."""
 
 from __future__ import annotations
 

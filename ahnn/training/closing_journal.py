@@ -1,7 +1,7 @@
 """Journal of the closing stage: results of its long computations, reused when a run is resumed.
 
-The closing stage is deterministic. After an interruption it starts again, and takes each result that it finds
-in the journal instead of computing it, so that weights are equal, and the covariance is equal up to rounding.
+The closing stage is deterministic. After an interruption it starts again and reads each result that is in the
+journal instead of computing it: the weights are then equal, and the covariance is equal up to rounding.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class ClosingJournal:
 
     Args:
         folder: folder of the files.
-        of: checksum of the weights with which the stage begins; results of other weights are replaced.
+        of: checksum of the weights with which the stage begins; results for other weights are replaced.
     """
 
     def __init__(self, folder: Path, of: str) -> None:
@@ -66,17 +66,17 @@ class ClosingJournal:
 
 
 def laid_out(state: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Return copies in one memory layout: products of matrices round by their strides and alignment."""
+    """Return copies in one memory layout: rounding in matrix products depends on strides and alignment."""
     return {name: tensor.clone(memory_format=torch.contiguous_format) for name, tensor in state.items()}
 
 
 def kept(name: str, compute: Callable[[], dict[str, Tensor]]) -> dict[str, Tensor]:
-    """Return the tensors of a long computation, by way of the active journal if there is one."""
+    """Return the tensors of a long computation; an active journal stores and reuses them."""
     note(name)
     journal = _current.get()
     return compute() if journal is None else journal.result(name, compute)
 
 
 def is_active() -> bool:
-    """Return whether results are kept."""
+    """Return whether a journal is active."""
     return _current.get() is not None

@@ -1,8 +1,8 @@
 """Optimiser steps on a GPU with loss and gradients recorded as a CUDA graph.
 
-A step of a small network is several hundred kernels of a few microseconds each: launched one by one, they
-leave the GPU idle most of the time. A recording is launched as a whole. Autograd then has one node between
-parameters and loss, and no operations are dispatched individually.
+A step of a small network consists of several hundred kernels of a few microseconds each: launched one by one,
+they leave the GPU idle most of the time. A recording is launched as a whole. Autograd then has one node
+between parameters and loss, and no operations are dispatched individually.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ahnn.types import Window
 log = logging.getLogger(__name__)
 
 WARM = 3
-"""Number of calls before recording, in which libraries choose kernels and allocate memory."""
+"""Number of calls before recording, during which libraries choose kernels and allocate memory."""
 
 
 class Program(NamedTuple):
@@ -62,7 +62,7 @@ def _is_own(part: object) -> bool:
 
 
 class RecordedStep(FirstOrder):
-    """Training steps by recorded gradients; batches of other sizes, and failures, use autograd.
+    """Training steps with recorded gradients; batches of other sizes, or after a failure, use autograd.
 
     Args:
         batch_size: size of the recorded batches, all but the last of an epoch.
@@ -90,7 +90,7 @@ class RecordedStep(FirstOrder):
         return value if batch.weight == 1 else value * batch.weight
 
     def _program(self, key: Any, compared: nn.Module, batch: Window) -> Program | None:
-        """Return the recording for a kind of batches; None, with a warning, if recording fails."""
+        """Return the recording for a kind of batch; None, with a warning, if recording fails."""
         if key not in self.programs:
             try:
                 self.programs[key] = self.make(traced(compared, batch))
@@ -152,6 +152,6 @@ class _Known(Function):
 
 
 def _key(objective: Objective, batch: Window) -> Any:
-    """Return the key of a recording: all that it depends on besides the model."""
+    """Return the key of a recording: everything that it depends on besides the model."""
     dt = None if isinstance(batch.dt, Tensor) else batch.dt
     return objective, batch.start.shape, batch.increments.shape, batch.start.dtype, dt

@@ -37,13 +37,13 @@ class SegmentOptions:
     Attributes:
         stages: list of stages: intervals per segment, or `relative`, `weak`, `whole`; the fraction of the
             epochs at which the stage ends; and optionally the segments per step, by default
-            `data.batch_size`. Short segments first: an inaccurate model cannot fit long ones.
+            `data.batch_size`. Short segments come first: an inaccurate model cannot fit long ones.
         robust: robust loss of residuals: none (squares), huber or student.
         closing: maximum number of final parameter steps on all measurements, before steps in function space.
         balance: 0, since measurements are weighted by standard deviations.
 
     Raises:
-        UserError: fractions that do not increase to 1, or invalid segments.
+        UserError: the fractions do not increase to 1, or a stage is invalid.
     """
 
     stages: list[list[int | float | str]]
@@ -99,7 +99,7 @@ class Curriculum:
     Attributes:
         phases: phases in order; the last ends at 1.
         judge: objective of validations.
-        span: number of steps required in a window by any phase; None for segments of measurements.
+        span: number of steps per window that suffices for all phases; None for segments of measurements.
         closing: maximum number of parameter steps on all measurements after the last phase.
     """
 
@@ -142,7 +142,9 @@ def make_curriculum(size: int, window: int, options: dict[str, Any]) -> tuple[nn
 
 
 def windowed(loss: Loss, window: int) -> Curriculum:
-    """Build a curriculum of derivative fitting followed by the objective of the loss, at least in one epoch.
+    """Build a curriculum of derivative fitting followed by the objective of the loss.
+
+    Unless derivatives are fitted throughout, the objective of the loss has at least one epoch.
 
     Raises:
         UserError: unknown objective or invalid options.

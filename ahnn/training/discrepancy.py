@@ -8,8 +8,8 @@ variance
     c + e^2 g^2,
 
 where e is chosen such that the residuals match this variance: as in Paule & Mandel 1982 (J. Res. NBS 87,
-377-385), but with the median, which is robust to outliers. As the field improves e decreases, and it vanishes
-where residuals are noise: the objective is then chi-square.
+377-385), but with the median, which is robust to outliers. As the field improves, e decreases, and it
+vanishes where residuals are noise: the objective is then chi-square.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MEDIAN = 0.6745
 SMALLEST, LARGEST = 1e-9, 1e3
 """Range of the relative error; smaller estimates are attributed to noise."""
 HALVINGS = 40
-"""Number of bisections of its logarithm."""
+"""Number of bisections of the logarithm of the relative error."""
 
 
 def share(residuals: Tensor, effects: Tensor, noise: Tensor, there: Tensor) -> float:
@@ -30,7 +30,7 @@ def share(residuals: Tensor, effects: Tensor, noise: Tensor, there: Tensor) -> f
     Args:
         residuals: residuals of sums, shape (B, J, M), in standard deviations of individual measurements.
         effects: g^2, (B, J, M), squared field contributions.
-        noise: c, (B, J, M) or (1, J, M), variances of the sums of unit noise.
+        noise: c, (B, J, M) or (1, J, M), variances of the sums for unit noise.
         there: (B, J) or (1, J) bool, whether a sum is available.
     """
     there = there.expand(residuals.shape[:2])

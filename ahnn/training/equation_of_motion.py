@@ -65,6 +65,6 @@ def _of_positions(dynamics: HasField) -> Motion:
         return lambda q: field.velocity(field.force(q))
 
     def of_parameters(theta: Tensor, q: Tensor) -> Tensor:
-        return known.velocity(rows(theta, torch.cat((q, torch.zeros_like(q)), -1)))  # the two maps are linear
+        return known.velocity(rows(theta, torch.cat((q, torch.zeros_like(q)), -1)))  # `velocity` is linear
 
     return Motion(2, 1, right, of_parameters)

@@ -32,7 +32,7 @@ PATHS, SAMPLES = 100, 400
 NO_NOISE = 10.0
 """Ratio to the previous standard deviations above which residuals are errors of the dynamics, not noise."""
 FAR = 6.0
-"""Robust standard deviations beyond which robust training omits residuals."""
+"""Number of robust standard deviations beyond which residuals are omitted if the loss is robust."""
 
 
 @torch.no_grad()
@@ -72,7 +72,7 @@ def conclude_with_noise(
         instrument = instrument._replace(
             deviations=stated * noise.scales, colour=noise.colour, freedom=noise.freedom
         )
-        if alike(before, noise) and (done or not unknown.tails):  # the first tails were only assumed
+        if alike(before, noise) and (done or not unknown.tails):  # the first tails were assumed
             break
     return found, None if found is None else written(found, noise, stated, unknown)
 
@@ -90,7 +90,7 @@ def is_noise(noise: FoundNoise, chi_square: float) -> bool:
 
 
 def biases_of(found: Uncertainty) -> Tensor | None:
-    """Return the biases (M,) found by a fit, if any was unknown."""
+    """Return the biases (M,) found by a fit; None if none was unknown."""
     given = found.about.get("bias")
     return None if given is None else torch.tensor(given, dtype=torch.float64)
 
@@ -134,7 +134,7 @@ def heavy_tailed(
     Args:
         dynamics: float64 dynamics fitted to all measurements.
         train: training segments, with the noise used in the fit.
-        robust: the loss of the fit where its noise is normal.
+        robust: the loss of the fit if the noise of all components is normal.
         determined: number of parameters that the measurements determine.
         stated: stated standard deviations, (M,).
     """
@@ -159,7 +159,7 @@ def alike(one: FoundNoise, other: FoundNoise) -> bool:
 
 
 def _rates(noise: FoundNoise) -> Tensor:
-    """Return one over the degrees of freedom, (M,)."""
+    """Return the inverse degrees of freedom, (M,), 0 for normal noise."""
     return torch.zeros_like(noise.scales) if noise.freedom is None else 1 / noise.freedom
 
 
@@ -191,7 +191,7 @@ def written(found: Uncertainty, noise: FoundNoise, stated: Tensor, unknown: Unkn
 
 
 def of_tails(tails: tuple[FoundTails, ...] | None, stated: Tensor) -> dict[str, list[float]]:
-    """Return the fields of `NoiseEstimate` on tails; 0 where a degree of freedom or its end is infinite."""
+    """Return the fields of `NoiseEstimate` that describe tails; infinite values become 0."""
     if tails is None:
         return {}
     finite = lambda value: value if math.isfinite(value) else 0.0  # noqa: E731

@@ -19,7 +19,7 @@ def require_finite_loss(loss: float, where: str) -> None:
 
 
 def require_finite_weights(module: nn.Module, where: str) -> None:
-    """Raise TrainingError for a weight that is not finite: the loss of a step precedes its update."""
+    """Raise TrainingError for a weight that is not finite; the loss of a step precedes its update."""
     if not all(bool(p.isfinite().all()) for p in module.parameters()):
         message = f"training diverged: weights became nan or inf {where}; {REMEDY}"
         raise TrainingError(message)

@@ -1,7 +1,7 @@
 """Region covered by training on measurements: states along the fitted paths.
 
 Before training, paths are known only from smoothed measurements, which are missing where samples are sparse,
-as near a perigee.
+for example near a perigee.
 """
 
 from __future__ import annotations

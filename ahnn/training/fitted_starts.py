@@ -1,8 +1,8 @@
 """Predictions of windows from their best-fitting starts, linearised about their samples.
 
 A given state, for example from an analytical theory, need not be the state from which a flow predicts best.
-Here a start is fitted to the positions of its window, and the residuals of the fit are minimised. About exact
-samples x_k the deviation e of a prediction obeys, up to its square,
+Here the start of each window is fitted to the window's positions, and training minimises the residuals of the
+fit. About exact samples x_k the deviation e of a prediction obeys, to first order,
 
     e_{k+1} = M_k e_k + d_k,    d_k = F(x_k) - x_{k+1},    M_k = F'(x_k),
 
@@ -33,11 +33,11 @@ from ahnn.training.loss import Loss
 from ahnn.types import Window
 
 WIDE = torch.float64
-"""Type of Jacobians: a start compensates for most effects of parameters."""
+"""Type of Jacobians: starts compensate most effects of parameters, and float32 would lose the rest."""
 APART = 4
-"""Samples between positions that are compared; positions in between are redundant."""
+"""Number of steps between compared positions; those in between are redundant."""
 TOGETHER = 4
-"""Windows whose derivatives by parameters are formed at once, to save memory."""
+"""Number of windows whose parameter derivatives are formed at once, to limit memory."""
 
 
 @checked
@@ -65,7 +65,7 @@ class FittedStarts:
 
         @torch.no_grad()
         def residuals(theta: Tensor) -> Tensor:
-            # Jacobians are recomputed: errors of old ones, times kilometres, would grow along an orbit.
+            # Jacobians are recomputed: errors of old ones, times deviations in km, would grow along an orbit.
             moved = copy.deepcopy(dynamics)
             vector_to_parameters(theta, moved.parameters())
             return self.residuals(moved, batch).flatten()
@@ -87,7 +87,7 @@ class FittedStarts:
 
 
 class AboutSamples:
-    """Paths of dynamics about the samples of windows.
+    """Paths of dynamics, linearised about the samples of windows.
 
     Args:
         dynamics: dynamics with a field.
@@ -140,7 +140,7 @@ class AboutSamples:
         return self._without_starts(rows.flatten(1).unsqueeze(-1)).squeeze(-1)
 
     def of_parameters(self, forcing: Tensor, part: slice) -> Tensor:
-        """Return derivatives of residuals of some windows, (N, P), from the derivatives of the field."""
+        """Return derivatives of residuals of some windows, (N, P), from those of the field."""
         found = sensitivities(self.jacobians[part], forcing, self.steps.rows(part))[:, :, : self.dof]
         return self._without_starts((found * self.weight[:, None]).flatten(1, 2), part).flatten(0, 1)
 

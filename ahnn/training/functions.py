@@ -1,10 +1,10 @@
 """Final training step in function space, where residuals are nearly linear.
 
-For networks that are linear in their parameters a Gauss-Newton step reaches the optimum, except for
-approximations of J by normal points and the nonlinearity of paths. The gradient is therefore recomputed at
-the new point, by reverse mode, and further steps with the same matrix follow, mixed to minimise the residual
-gradient (Anderson 1965; GMRES for linear equations). If the first step was too long for linear paths, these
-steps fail, and the normal equations are recomputed at the best point.
+For networks that are linear in their parameters, a Gauss-Newton step reaches the optimum up to the errors of
+normal points in J and the nonlinearity of paths. The gradient is therefore recomputed at the new point, by
+reverse mode, and further steps use the same matrix; each starts from the mixture of points that minimises the
+gradient (Anderson 1965; GMRES for linear equations). If the first step exceeds the linear range of paths,
+these steps fail, and the normal equations are recomputed at the best point.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ahnn.training.maximum_posterior import PosteriorPoint, WideProblem, after, 
 ARRIVED = 0.05
 """Squared length of the remaining step, or decrease by the last one, below which the iteration stops.
 
-In units of the contribution of noise: 1 for each parameter determined by the data.
+Both are relative to the contribution of noise: 1 for each parameter determined by the data.
 """
 MATRICES, STEPS = 3, 4
 """Maximum number of normal equations, and of steps in function space with each of them."""
@@ -53,7 +53,7 @@ def whole_step(
 ) -> tuple[Dynamics, PosteriorPoint] | None:
     """Take the step to the optimum in function space; return the dynamics and the point reached.
 
-    Returns None if the step fails or brings no gain.
+    Returns None if the step fails or hardly lowers the objective.
     """
     if arrived(start):
         return None
@@ -83,7 +83,7 @@ def lowest(problem: WideProblem, dynamics: Dynamics, origin: Tensor, here: Poste
     """Return the lowest point reached by steps with the matrix of `here`; None if no step succeeds.
 
     Args:
-        problem: problem with starts fitted near this point.
+        problem: problem whose initial states were fitted near `here`.
         dynamics: dynamics about which the functions are linearised.
         origin: parameters of these dynamics, shape (P,).
         here: initial point.

@@ -20,7 +20,7 @@ def require_identifiable(dynamics: Dynamics, sensor: Sensor, *, windows: bool) -
         windows: whether the loss compares windows of states.
 
     Raises:
-        UserError: not determined; the message names identifiable alternatives.
+        UserError: they do not; the message names identifiable alternatives.
     """
     if dynamics.clock:
         message = (
@@ -46,11 +46,11 @@ def require_identifiable(dynamics: Dynamics, sensor: Sensor, *, windows: bool) -
 def require_unbiased(balance: float) -> None:
     """Check that windows of measured states are not weighted by their own noisy increments.
 
-    A weight that depends on the noise of its residual favours samples by their noise, and biases the fit
+    A weight that depends on the noise of its own residual selects samples by their noise, and biases the fit
     for any number of samples.
 
     Raises:
-        UserError: such weights; the message names losses weighted by standard deviations.
+        UserError: they are; the message names losses weighted by standard deviations.
     """
     if balance:
         message = (

@@ -2,15 +2,15 @@
 
 With all measurements in every step there is no mini-batch noise, and Gauss-Newton steps on residuals and
 prior converge to the optimum. In parameter space they follow a curved valley in many short steps, so the last
-steps are taken in function space (`ahnn.training.functions`). The parameter covariance is the inverse of J^T
-J plus the prior precision, with initial states eliminated (Laplace's approximation). Three corrections, which
-need no truth, may widen it:
+steps are taken in function space (`ahnn.training.functions`). The covariance of the parameters is the inverse
+of J^T J plus the prior precision, with initial states eliminated (Laplace's approximation). Three
+corrections, which do not need the true dynamics, may widen it:
 
 - chi-square of the training per degree of freedom, if it exceeds 1: the noise is larger than specified, or
-the model does not fit the data. For a robust loss the corresponding factor of that loss is used;
+  the model does not fit the data. For a robust loss the corresponding factor of that loss is used;
 - the remaining step, as an additional error of the training;
 - held-out measurements: if their residuals exceed both contributions, the least factor that they do not
-reject.
+  reject.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ DAMPING = 1e-6
 HARDER = 10.0
 """Factor on the damping after a step beyond the linear range."""
 REFUSED = 3.0902
-"""Standard deviations above the expectation at which a factor is rejected, with 99.9 %, one-sided.
+"""Standard deviations above the expectation at which a factor is rejected: 99.9 %, one-sided.
 
 With 95 % the noise of held-out measurements would widen the bands of one correct model in twenty.
 """
@@ -63,7 +63,7 @@ def conclude(
         robust: robust loss of residuals.
 
     Returns:
-        None if no trajectory is explained; the parameters are then unchanged.
+        None if no trajectory is fitted; the parameters are then unchanged.
     """
     found = _concluded(dynamics, train, held_out, steps, robust)
     if found is None:
@@ -133,7 +133,7 @@ def approached(
 
 
 def place(problem: WideProblem, theta: Tensor, sizes: Sequence[int]) -> PosteriorPoint | None:
-    """Return the problem to second order at theta, shape (P,); None if no residual depends on theta."""
+    """Return the quadratic model at theta, shape (P,); None if no residual depends on theta."""
     loss, degrees, blocks = problem.equations(theta, sizes)
     if not blocks:
         return None
@@ -244,6 +244,6 @@ def held_out_scale(factor: Tensor, test: Equations, noise: float, scatter: float
     beyond = excess**2 - REFUSED**2 * test.degrees * scatter
     if excess <= 0 or beyond <= 0:
         return 1.0
-    # The root of a f^2 - 2 b f + c = 0; for smaller f, noise alone would explain more than is observed.
+    # The root of a f^2 - 2 b f + c = 0 for which the observed sum exceeds the expectation.
     a, b = expected**2 - 2 * REFUSED**2 * squares, expected * (excess + 2 * REFUSED**2 * noise)
     return max(1.0, beyond / (b + (b**2 - a * beyond) ** 0.5))

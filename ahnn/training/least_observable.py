@@ -32,7 +32,7 @@ def least_told(
         learned: dynamics of the paths, after the step in function space, if any.
 
     Returns:
-        None if they fit none of these trajectories.
+        None if the dynamics fit none of these trajectories.
     """
     some = train.first(INTERVALS).rows(slice(None, None, max(1, len(train.times) // ARCS)))
     loss = loss_of(robust, train.instrument.freedom)

@@ -35,7 +35,7 @@ class LeastSquaresProblem(Protocol):
         ...
 
     def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
-        """Return the quadratic model at theta, composed of tensors of given sizes."""
+        """Return the quadratic model at theta, which consists of tensors of the given sizes."""
         ...
 
 

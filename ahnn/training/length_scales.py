@@ -35,7 +35,7 @@ LONGEST = 30.0
 STRENGTHS = [10.0**power for power in range(-10, 7)]
 """Candidate precisions of the prior on the weights."""
 OPEN = 1e-6
-"""Precision of the prior on other learned parameters, not a hyperparameter here."""
+"""Fixed precision of the prior on other learned parameters, relative to the diagonal of J^T J."""
 
 
 class Posterior(NamedTuple):
@@ -110,7 +110,7 @@ class Along:
         self.lengths, self.linear = lengths_of(dynamics), linear_in(dynamics)
 
     def posterior(self, theta: Tensor) -> Posterior:
-        """Return the evidence of lengths in theta, (P,), maximal over precisions, with the best weights."""
+        """Return the evidence of the lengths in theta, (P,), for the best precision, and the best weights."""
         free, own = ~self.lengths, self.problem.forcing
         weights = torch.where(self.linear, self.here, 0.0)
 
@@ -136,7 +136,7 @@ class Along:
 
 
 def evidence(matrix: Tensor, b: Tensor, waves: Tensor, alpha: float) -> float:
-    """Return log p up to a constant; -inf if lost to rounding.
+    """Return log p up to a constant; -inf if the matrix is singular to rounding.
 
     Args:
         matrix: J^T J, (P, P).

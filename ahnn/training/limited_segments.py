@@ -15,17 +15,17 @@ TIMES_TYPICAL = 5.0
 
 
 def freedom(batch: Segment) -> Tensor:
-    """Return the degrees of freedom of segments, (B,): measured values minus 2n unknowns of the start."""
+    """Return the degrees of freedom of segments, (B,): measured values minus 2n initial-state components."""
     return (batch.measured - 2 * batch.instrument.dof).double()
 
 
 def near(sums: Tensor, degrees: Tensor, hopeless: float = HOPELESS) -> Tensor:
-    """Return which segments converged, (B,) bool; those beyond `hopeless` have meaningless derivatives."""
+    """Return the mask of converged segments, (B,) bool; derivatives beyond `hopeless` are meaningless."""
     return (sums <= hopeless * degrees) & (degrees > 0)
 
 
 class Limit(NamedTuple):
-    """Cost limit per segment: for inaccurate dynamics a few segments would dominate the sum.
+    """Limit of the cost of each segment: for inaccurate dynamics a few segments would dominate the sum.
 
     Attributes:
         most: (B,) sum of squares beyond which a segment counts only logarithmically.

@@ -26,8 +26,8 @@ class LossOptions:
             each component, the paper). One-step residuals in units of the state are so small that gradients
             fall below Adam's epsilon; in units of the increment they do not.
         delta: residual, in these units, at which the Huber loss changes from quadratic to linear.
-        balance: weight of relative errors. 0 for a constant unit; 1 for units of the local increment of the
-            block, so that slow parts of a trajectory have the same weight as fast ones.
+        balance: weight of relative errors. 0 for a constant unit; 1 for units of the local increment of
+            positions or momenta, so that slow parts of a trajectory have the same weight as fast ones.
         derivative: initial fraction of the epochs in which the field is fitted to derivatives of the data;
             the remaining epochs fit recursive predictions (the paper). 1 gives the loss of Greydanus et al.
             2019.

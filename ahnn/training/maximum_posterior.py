@@ -28,7 +28,7 @@ from ahnn.training.shooting import ShootingProblem
 class WideProblem(ShootingProblem):
     """Shooting problem with float64 normal equations, which preserve poorly determined directions.
 
-    Unknown biases of the sensor are eliminated from them; `shared` contains these once equations are found.
+    Unknown sensor biases are eliminated from them; `shared` contains the biases after `equations`.
     """
 
     precision = torch.float64
@@ -36,7 +36,7 @@ class WideProblem(ShootingProblem):
 
     @torch.no_grad()
     def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
-        """Return loss and normal equations without starts and biases."""
+        """Return loss and normal equations, with initial states and biases eliminated."""
         if not len(self.starts):
             return super().equations(theta, sizes)
 
@@ -57,7 +57,7 @@ class WideProblem(ShootingProblem):
         return found
 
     def with_more(self, of_theta: Tensor, here: Fitted, part: slice) -> Tensor:
-        """Return derivatives of residuals (B, K + 1, M, P) with columns of unknown biases."""
+        """Append columns of unknown biases to derivatives of residuals (B, K + 1, M, P)."""
         segment = self.batch.rows(part)
         if segment.instrument.bias_sd is None:
             return of_theta
@@ -72,7 +72,7 @@ class WideProblem(ShootingProblem):
 
     @torch.no_grad()
     def loss(self, theta: Tensor) -> Tensor:
-        """Return the sum of squared residuals, each segment from its best start, for the best biases."""
+        """Return the sum of squared residuals for the best initial states and biases."""
 
         def compute() -> dict[str, Tensor]:
             plain = super(WideProblem, self).loss(theta)
@@ -89,12 +89,12 @@ class WideProblem(ShootingProblem):
     def fit(
         self, trial: Trial, starts: Tensor | None, batch: Segment, steps: Steps, hopeless: float
     ) -> Fitted:
-        """Fit the initial states; with a journal, paths are computed only from them: bit-identical."""
+        """Fit the initial states; with a journal, paths are recomputed from them and are bit-identical."""
 
         def fitted() -> Fitted:
             found = super(WideProblem, self).fit(trial, starts, batch, steps, hopeless)
             explained = bool((found.sums <= LOST * batch.measured).any())
-            if starts is not None or not explained:  # if nothing is fitted, no path was lost
+            if starts is not None or not explained:  # if no segment fits, no path was lost
                 return found
             return regained(trial, found, guess(batch), batch, steps, hopeless)
 
@@ -117,7 +117,7 @@ class WideProblem(ShootingProblem):
         return loss if self.shared is None else loss - self.shared.gain(self.pull(fitted))
 
     def pull(self, fitted: Fitted) -> Tensor:
-        """Return the gradient (K,) with respect to the biases, with each segment from its best start."""
+        """Return the gradient (K,) with respect to the biases, for fitted initial states."""
         rows = self.batch.white_residuals(fitted.states[:, self.steps.ends])
         weight = self.robust.weight(rows) * self.limit.weight(fitted.sums)[:, None, None]
         return pull_of(rows * weight, self.batch)
@@ -166,7 +166,7 @@ def of_functions(problem: WideProblem, dynamics: Dynamics, weights: Tensor, plac
         problem: problem of the functions.
         dynamics: dynamics about which they are linearised.
         weights: parameters of the functions.
-        places: indices of the P parameters in these (`ahnn.dynamics.linearised`).
+        places: indices of the P parameters among these (`ahnn.dynamics.linearised`).
     """
     own, rows = problem.forcing, field_jacobian(cast(HasField, dynamics), problem.precision)
     problem.forcing = lambda _, states: rows(weights[places], states)
@@ -191,7 +191,7 @@ class PosteriorPoint(NamedTuple):
         prior: prior of maximum evidence at the beginning of function-space steps.
         factor: L, (P, P); L L^T is the inverse of the matrix of residuals and prior.
         determined: number of parameters that the data determine.
-        pull: (P,) gradient of half the sum in posterior standard units: theta = ... + L u.
+        pull: (P,) gradient of half the objective with respect to u, for theta = ... + L u.
     """
 
     theta: Tensor

@@ -43,12 +43,12 @@ class StepTaken(NamedTuple):
         return Equations(self.mean_square, 1, [])
 
     def both(self) -> tuple[LeastSquaresProblem, None]:
-        """Return what a closure of an optimiser returns."""
+        """Return this problem, without a held-out one, in the form that an optimiser's closure returns."""
         return self, None
 
 
 def together_in_steps(objective: Objective, members: Sequence[Dynamics], optimizers: Sequence[Any]) -> bool:
-    """Return whether second-order steps of members form one batch, as for small networks on windows."""
+    """Return whether members take second-order steps in one batch: small networks trained on windows."""
     first = [*members[0].parameters()]
     plain = all(isinstance(one, LevenbergMarquardt) and not one.acceleration for one in optimizers)
     small = sum(p.numel() for p in first) <= MOST and units_of(first) is None
@@ -65,9 +65,9 @@ def member_damped_steps(
     """Take a step of each member, and return the mean squared residuals before it, (E,).
 
     Args:
-        objective: what is fitted.
+        objective: training objective.
         members: dynamics, whose parameters are changed.
-        batches: windows of each.
+        batches: windows of each member.
         groups: parameter group of each member's optimiser, with its damping and tolerance.
     """
     parts = [objective.divided(batch) for batch in batches]
@@ -152,7 +152,7 @@ def promised(blocks: Sequence[MemberBlock], moves: Tensor) -> Tensor:
 
 
 def joined(windows: Sequence[Window]) -> Window:
-    """Return windows of all members, one below the other."""
+    """Concatenate the windows of all members."""
     first = windows[0]
     dt = torch.cat([torch.as_tensor(w.dt) for w in windows]) if isinstance(first.dt, Tensor) else first.dt
     start, increments = (torch.cat([getattr(w, name) for w in windows]) for name in ("start", "increments"))

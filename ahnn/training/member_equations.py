@@ -1,7 +1,7 @@
 """Normal equations of all members of an ensemble in one batch, by `torch.func.vmap` over their parameters.
 
-A step of a small network costs more in dispatched operations than in arithmetic. Jacobians, products and
-factorisations of the members here are single operations, with a leading member axis.
+In a step of a small network, dispatching operations costs more than their arithmetic. Here Jacobians,
+products and factorisations of all members are single operations with a leading member axis.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class MemberEquations(NamedTuple):
 
 
 def member_residuals(objective: Recursive | Derivative, members: Sequence[Dynamics], batch: Window) -> Tensor:
-    """Return the residuals of members with their present parameters, (E, N); `batch` has E B rows."""
+    """Return the residuals of members at their current parameters, (E, N); `batch` has E B rows."""
     stacked = cast(Dynamics, StackedDynamics(members))
     return objective.residuals(stacked, batch).unflatten(0, (len(members), -1)).flatten(1)
 
@@ -65,10 +65,10 @@ def member_equations(
     """Return the equations of all members.
 
     Args:
-        objective: what is fitted.
+        objective: training objective.
         members: the dynamics, with the parameters `thetas`.
         thetas: (E, P), in float64.
-        batch: windows of all members, one below the other.
+        batch: concatenated windows of all members.
         sizes: sizes of the tensors that form the P parameters.
     """
     residuals = member_residuals(objective, members, batch)

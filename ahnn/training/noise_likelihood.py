@@ -1,13 +1,13 @@
 """Noise of residuals: standard deviations and coloured part, by restricted maximum likelihood.
 
-Residuals r of a segment are noise minus the part absorbed by D unknowns of its start. With X the derivatives
-of residuals by these and V the covariance of the noise, twice the negative log likelihood of the part that no
-start can explain is
+Residuals r of a segment are noise minus the part absorbed by the D components of its initial state. With the
+derivatives X of residuals with respect to these and the noise covariance V, twice the negative log likelihood
+of the remaining part is
 
     log det V + log det(X^T V^-1 X) + r^T V^-1 r - b^T (X^T V^-1 X)^-1 b,    b = X^T V^-1 r
 
-(Patterson & Thompson 1971, Biometrika 58, 545-554), so that a start that follows slow noise does not make it
-look small or white.
+(Patterson & Thompson 1971, Biometrika 58, 545-554), so that an initial state that follows slow noise does not
+make the noise look small or white.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from ahnn.training.student_likelihood import FoundTails
 TELLING = 12.0
 """Twice the gain in log likelihood above which noise is coloured; it occurs by chance in 0.25 % of cases."""
 MEMORIES = (2.0, 10.0)
-"""Initial memory of the search, in typical intervals."""
+"""Initial memories of the searches, in typical intervals."""
 SHORTEST, LONGEST = 0.3, 3.0
-"""Limits of a memory: typical intervals, and the longest segment."""
+"""Limits of a memory, in typical intervals and in durations of the longest segment."""
 STEEP = 12.0
 """Limit of the logit of the coloured fraction, on either side."""
 ENOUGH = 0.05
 """Gain in twice the log likelihood below which the search ends."""
 RIDGE = 1e-12
-"""Added to correlations of the unknowns of a start, some of which may be unobservable."""
+"""Added to the diagonal of the normalised X^T V^-1 X: initial states may be partly unobservable."""
 
 
 class Residuals(NamedTuple):
     """Residuals of fitted segments, in stated standard deviations, 0 where nothing was measured.
 
     Attributes:
-        rows: (B, T, M).
-        of_start: their derivatives with respect to the starts, (B, T, M, D).
+        rows: residuals, (B, T, M).
+        of_start: their derivatives with respect to the initial states, (B, T, M, D).
         times: (B, T).
         there: mask of the measured values, (B, T, M) bool.
     """
@@ -93,7 +93,7 @@ def most_likely(left: Residuals, *, sizes: bool, correlation: bool) -> FoundNois
 
     Args:
         left: residuals of the fit.
-        sizes: whether standard deviations are unknown; else they are the stated ones.
+        sizes: whether standard deviations are unknown; otherwise they are the stated ones.
         correlation: whether to search for a coloured part.
     """
     count = left.rows.shape[-1]

@@ -1,8 +1,8 @@
 """Normal equations J^T J s = -J^T r of a batch, in blocks of parameters that share no residual.
 
 Blocks follow from the zeros of the Jacobian. T(p) + V(q) fitted to derivatives has two blocks of half the
-size, a known kinetic energy makes half of the rows zero, and no residual depends on the constant of an
-energy.
+size, a known kinetic energy makes half of the rows zero, and no residual depends on the additive constant of
+an energy.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def normal_equations(jacobian: Tensor, residuals: Tensor, sizes: Sequence[int]) 
 
 
 def used_rows(part: Tensor) -> Tensor:
-    """Return which rows (N,) of columns (N, K) are nonzero; often one column determines all."""
+    """Return the mask of nonzero rows (N,) of columns (N, K); often one column is nonzero in all of them."""
     one = part[:, part.shape[1] // 2 :][:, :1].any(-1)
     return one if bool(one.all()) else part.any(-1)
 
@@ -171,7 +171,7 @@ def gradient_norm(blocks: Sequence[Block]) -> float:
 
 
 def metric(block: Block) -> Tensor:
-    """Return D, shape (K,): the diagonal of J^T J plus a thousandth of its mean in the units."""
+    """Return D, shape (K,): the diagonal of J^T J plus a thousandth of its mean, in `block.units`."""
     diagonal = block.matrix.diagonal()
     if block.units is None:
         return diagonal + 1e-3 * diagonal.mean()

@@ -1,7 +1,7 @@
 """Training objectives, as residuals or as least-squares problems.
 
-An objective is a value passed to a trainer: it uses the dynamics and a batch of windows, and is independent
-of optimisers.
+An objective is a value passed to a trainer. It needs only the dynamics and a batch, and is independent of
+optimisers.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Recursive:
         return recursive_problem(dynamics, dynamics.increment, batch, weights, dynamics.clock)
 
     def divided(self, batch: Window) -> tuple[Window, Window]:
-        """Split off 1/(5 W) of the windows, so that there are as many residuals as for single steps."""
+        """Split off 1/(5 W) of the windows for the step, which gives as many residuals as for W = 1."""
         return divided(batch, PARTS * self.window)
 
     def validation(self, dynamics: Dynamics, batch: Window) -> dict[str, Tensor]:
@@ -165,7 +165,7 @@ def derivative_samples(window: Window) -> tuple[Tensor, Tensor]:
     The derivative is the central difference of order W. A field fitted to it has no integrator error.
 
     Args:
-        window: start (B, D) and true increments (B, W, D), W even, equal steps.
+        window: start (B, D) and true increments (B, W, D), with even W and equal steps.
 
     Raises:
         UserError: unequal steps.

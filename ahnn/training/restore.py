@@ -18,7 +18,7 @@ from ahnn.training.steppers import stepper_of
 STATES = "optimizer_states"
 NEEDED = {"state_dict": dict, STATES: list, "lr_schedulers": list, "loops": dict, "callbacks": dict}
 NEEDED |= {"epoch": int, "global_step": int}
-"""Parts of a checkpoint that Lightning reads without a check."""
+"""Parts of a checkpoint that Lightning reads without checking them."""
 
 
 def require_resumable(path: Path, model: Any, trainer: Any) -> None:

@@ -23,13 +23,13 @@ from ahnn.training.shooting import Shooting
 TRIALS = 3
 """Maximum number of timed steps."""
 ENOUGH = 0.25
-"""Seconds of steps that suffice for timing: of longer steps only one is timed."""
+"""Total duration of timed steps that suffices, in seconds: of longer steps only one is timed."""
 LONG, SHARES = 0.5, (1 / 8, 1 / 4)
-"""Seconds of a step on the first share of a batch, from which on only shares are timed, and these shares."""
+"""Seconds of a step on the first of these fractions of a batch above which whole batches are not timed."""
 REFITTED = 0.5
 """Relative cost of a step that starts from previously fitted initial states."""
 FUNCTIONS = 1.7
-"""Cost of the steps in function space and of the covariance, in fits to all measurements; measured."""
+"""Measured cost of function-space steps and covariance, in units of a fit to all measurements."""
 STRETCHES, STRETCH = 300, 64
 """Maximum number of segments on which final steps are timed, and of their measurement intervals."""
 
@@ -73,9 +73,9 @@ def _on_measurements(model: Any, data: WindowDataModule, per_epoch: int, epochs:
 
 
 def shooting_seconds(model: Any, data: WindowDataModule) -> float:
-    """Return the time of shooting fits and equations per measurement time.
+    """Return the duration of shooting fits and equations per measurement time.
 
-    Timed on the beginnings of trajectories, since untrained dynamics diverge soon.
+    It is timed on the first intervals of trajectories, since untrained dynamics soon diverge.
     """
     dynamics = copy.deepcopy(model.dynamics).double()
     whole = Segments(data.measured("train"), None, data.instrument)
@@ -128,7 +128,7 @@ def step_seconds(model: Any, data: WindowDataModule, objective: Objective) -> fl
             loss.backward()
             optimizer.step()
 
-    # With only a few segments, no equations may remain once the initial states are eliminated.
+    # A fraction of the segments may leave no equations once the initial states are eliminated.
     if data.stages is not None:
         return _median(lambda: step(1.0), TRIALS)
     return _of_whole(step, TRIALS)
@@ -140,7 +140,7 @@ def _part(draw: torch.Tensor, share: float) -> torch.Tensor:
 
 
 def _of_whole(work: Callable[[float], Any], repeats: int = 1) -> float:
-    """Return the time of work on a whole batch; if that takes long, extrapolated from two shares of it."""
+    """Return the duration of work on a whole batch; if it is long, extrapolate it from two fractions."""
     small, large = SHARES
     first = _median(lambda: work(small))
     if first < LONG:

@@ -1,10 +1,10 @@
-"""Constant sensor biases, common to all segments, eliminated from normal equations like the starts.
+"""Constant sensor biases, common to all segments, eliminated from normal equations like initial states.
 
 With K biases b in addition to the parameters, normal equations have the blocks (A, C; C^T, B) and gradients
 (g, h). A normal prior adds its precision to B, S = B + diag(1 / sd^2), and the corresponding term to h. The
-best b for some parameters is b - S^-1 h, the reduced equations of the parameters have the matrix A - C S^-1
+best b for given parameters is b - S^-1 h. The reduced equations of the parameters have the matrix A - C S^-1
 C^T, the gradient g - C S^-1 h, and a sum of squares that is less by h^T S^-1 h (Tapley, Schutz & Born 2004,
-section 6.4). An unobservable bias makes the parameters as uncertain as its prior.
+section 6.4). An unobservable bias makes the parameters uncertain by as much as its prior allows.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ahnn.training.normal_equations import Block, Equations
 
 
 class SharedBias(NamedTuple):
-    """K biases, linearised.
+    """Linearised model of K biases.
 
     Attributes:
         places: indices of the components with a bias, (K,).
@@ -76,13 +76,13 @@ def columns_of(of_bias: Tensor, instrument: Instrument) -> Tensor:
 
 
 def pull_of(rows: Tensor, segment: Segment) -> Tensor:
-    """Return h, (K,), of weighted residuals (B, T, M) from the best starts."""
+    """Return h, (K,), from weighted residuals (B, T, M) for the best initial states."""
     places, (value, precision) = unknown_places(segment.instrument), prior(segment.instrument)
     return (rows * of_biases(segment)).sum((0, 1))[places] + precision * value
 
 
 def prior(instrument: Instrument) -> tuple[Tensor, Tensor]:
-    """Return the subtracted biases, (K,), and the precision (K,) of their prior about zero."""
+    """Return the biases already subtracted, (K,), and the precision (K,) of their prior about zero."""
     places = unknown_places(instrument)
     assert instrument.bias_sd is not None
     value = instrument.bias_sd.new_zeros(len(instrument.bias_sd))
@@ -91,7 +91,7 @@ def prior(instrument: Instrument) -> tuple[Tensor, Tensor]:
 
 
 def eliminated(found: Equations, instrument: Instrument) -> tuple[Equations, SharedBias]:
-    """Return the reduced equations of the parameters; the biases are the last columns."""
+    """Return the reduced equations of the parameters; the biases are the last columns of `found`."""
     (block,), places = found.blocks, unknown_places(instrument)
     value, precision = prior(instrument)
     size = len(block.gradient) - len(places)

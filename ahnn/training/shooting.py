@@ -43,9 +43,9 @@ from ahnn.training.limited_segments import Limit, freedom, near
 from ahnn.training.normal_equations import Equations, ResidualRows, accumulated
 
 CELLS = 2.5e7
-"""Size limit of the largest sensitivity tensor; longer batches are divided into parts of segments."""
+"""Size limit of the largest sensitivity tensor; larger batches are divided by segments."""
 NUMBERS = 50
-"""Numbers stored per state component during the backward pass of its effect on the field."""
+"""Number of values stored per state component in a backward pass through the field."""
 UNMET = 1e4
 """Mean squared residual at which a validation abandons a trajectory, to save time."""
 PATHS = 20
@@ -88,7 +88,7 @@ class Shooting:
         return batch, None
 
     def validation(self, dynamics: Dynamics, batch: Segment) -> dict[str, Tensor]:
-        """Return chi-square per degree of freedom, `UNMET` for lost segments, and the fraction of these."""
+        """Return chi-square per degree of freedom, with `UNMET` for lost segments, and their fraction."""
         loss, degrees = loss_of(self.robust, batch.instrument.freedom), freedom(batch)
         problem = ShootingProblem(dynamics, batch, loss, UNMET)
         sums = torch.minimum(problem.fitted.sums, UNMET * degrees)
@@ -201,7 +201,7 @@ class ShootingProblem:
         return accumulated(projected, self._parts(len(theta)), theta, self.count)
 
     def _linearised(self, theta: Tensor) -> tuple[Fitted, Linearised]:
-        """Return all paths and their derivatives, in one batch, since the cost is dominated by steps."""
+        """Return all paths and their derivatives, in one batch: the number of steps dominates the cost."""
         if self._linear is None or self._linear[0] is not theta:
             trial = self.trial(theta)
             here = followed(trial, self.starts, self.batch, self.steps)
@@ -209,7 +209,7 @@ class ShootingProblem:
         return self._linear[1:]
 
     def _projected(self, theta: Tensor, here: Fitted, now: Linearised, part: slice) -> ResidualRows:
-        """Return residuals of segments and their Jacobian, projected on the complement of initial states.
+        """Return residuals of segments and their Jacobian, without the effect of initial states.
 
         Initial states compensate most of the effect of parameters on a path: float32 would lose the rest.
         """
@@ -229,13 +229,13 @@ class ShootingProblem:
         return ResidualRows(limit.cost(here.sums).sum(), (rows * weight[:, None]).flatten(), jacobian)
 
     def with_more(self, of_theta: Tensor, here: Fitted, part: slice) -> Tensor:
-        """Return derivatives of residuals (B, K + 1, M, P) with columns of further unknowns."""
+        """Append columns of further unknowns to derivatives of residuals (B, K + 1, M, P)."""
         del here, part
         return of_theta
 
     @torch.no_grad()
     def gradient(self, theta: Tensor) -> Tensor:
-        """Return J^T r, shape (P,), by reverse mode in float64, without rounding of J or normal points."""
+        """Return J^T r, shape (P,), by reverse mode in float64, without normal points or a rounded J."""
         here, now = self._linearised(theta)
         return self._pulled_back(theta, here, now, now.residuals.flatten(1))
 
@@ -256,7 +256,7 @@ class ShootingProblem:
         moves = -torch.linalg.solve_triangular(triangle, basis.mT @ slope.unsqueeze(-1), upper=True)
         moves = reach * moves.squeeze(-1)
         second = rows(reach, starts + moves) - 2 * now.residuals.flatten(1) + rows(-reach, starts - moves)
-        finite = second.isfinite().all(1, keepdim=True)  # a diverging initial state carries no information
+        finite = second.isfinite().all(1, keepdim=True)  # a diverging path carries no information
         return self._pulled_back(theta, here, now, (second / reach**2).where(finite, 0.0))
 
     def _pulled_back(self, theta: Tensor, here: Fitted, now: Linearised, rows: Tensor) -> Tensor:

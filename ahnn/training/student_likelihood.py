@@ -6,13 +6,13 @@ The log likelihood of n residuals e with the scale s and nu degrees of freedom i
 
 For given nu the scale is the fixed point of expectation and maximisation, s^2 = sum w e^2 / n with the
 weights w = (nu + 1) / (nu + e^2 / s^2) (Lange, Little & Taylor 1989, J. Am. Stat. Assoc. 84, 881-896). Here
-both are found jointly by a quasi-Newton method. Information of a residual about s and nu is Fisher's, in
+both are found jointly by a quasi-Newton method. The Fisher information of a residual about s and nu has a
 closed form (ibid., appendix B).
 
-A fit makes residuals smaller, and most where they are small: a value of weight w with the derivatives x by
-the unknowns takes the part h = c w x^T (sum w x x^T)^-1 x of itself, c = (nu + 3) / (nu + 1), the mean weight
-over the mean curvature of the loss. The residuals over (1 - h)^1/2 are those of the noise, to first order in
-h; for normal noise h is the leverage, whose sum is the trace of the fit.
+A fit makes residuals smaller, most of all small ones: of a value with weight w and derivatives x with respect
+to the unknowns, it absorbs the fraction h = c w x^T (sum w x x^T)^-1 x, where c = (nu + 3) / (nu + 1) is the
+mean weight divided by the mean curvature of the loss. Residuals divided by (1 - h)^1/2 are distributed like
+the noise, to first order in h; for normal noise h is the leverage, whose sum is the trace of the hat matrix.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from ahnn.data.noise_floor import NORMAL
 from ahnn.shooting.robust import information
 
 FEWEST, MOST = 0.5, 1e3
-"""Range of the degrees of freedom; more are normal noise."""
+"""Range of the degrees of freedom; noise with more is normal."""
 STARTS = (3.0, 30.0)
 """Degrees of freedom from which the search begins."""
 TELLING = 7.88
-"""Twice the gain in log likelihood over normal noise from which tails are heavy: chance gains as much in
-0.25 % of cases, since nu = inf is the end of the range.
+"""Twice the gain in log likelihood over normal noise above which tails are heavy. It occurs by chance in 0.25
+% of cases, since nu = inf is the end of the range.
 """
 NORMAL95, ONE_SIDED = 1.959964, 1.644854
-"""Standard deviations of the middle 95 % of a normal distribution, and of 95 % from below."""
+"""Two-sided and one-sided 95 % limits of a normal distribution, in standard deviations."""
 LEAST = 50
-"""Fewest residuals."""
+"""Minimum number of residuals for an estimate."""
 SMALLEST = 0.1
-"""Limit of 1 - h."""
+"""Lower limit of 1 - h."""
 
 
 class FoundTails(NamedTuple):
@@ -49,8 +49,8 @@ class FoundTails(NamedTuple):
         scale: s, or the standard deviation where the noise is normal.
         scale_sd: standard deviation of s.
         freedom: nu; inf where the noise cannot be distinguished from normal noise.
-        low, high: ends of the 95 % interval of nu; where it cannot be distinguished from normal noise, the
-            lower limit, exceeded with 95 %, and inf.
+        low, high: ends of the 95 % interval of nu; where the noise cannot be distinguished from normal noise,
+            a limit that nu exceeds with 95 % probability, and inf.
     """
 
     scale: float
@@ -61,12 +61,12 @@ class FoundTails(NamedTuple):
 
 
 def without_fit(residuals: Tensor, of_start: Tensor, freedom: Tensor | None) -> Tensor:
-    """Return residuals (B, T, M) as if no start had been fitted to them.
+    """Return residuals (B, T, M), corrected for the effect of fitted initial states.
 
     Args:
-        residuals: in scales of the noise of the fit.
-        of_start: their derivatives with respect to the starts, times the square roots of the weights, (B, T,
-            M, D).
+        residuals: residuals in the noise scales of the fit.
+        of_start: their derivatives with respect to the initial states, times the square roots of the weights,
+            (B, T, M, D).
         freedom: degrees of freedom of the fit, (M,); None for squares.
     """
     taken = torch.linalg.qr(of_start.flatten(1, 2)).Q.square().sum(-1).view_as(residuals)

@@ -37,12 +37,12 @@ from ahnn.training.weak_test_functions import bumps, integrated
 
 Function = Callable[[Tensor], Tensor]
 WIDTHS = {1: 3, 2: 2}
-"""Half-width of a span in lengths over which the motion is cubic, by the equation's order: a bump is small
-outside its middle third. With missing samples it is one length, since each gap ends all spans that contain
-it.
+"""Half-width of a span, in lengths over which the motion is cubic, for each order of the equation: a bump is
+small outside its middle third. With missing samples it is one length, since a gap excludes all spans that
+contain it.
 """
 CELLS = 1.4e7
-"""Size limit of the largest sensitivity tensor; longer batches are divided into parts of segments."""
+"""Size limit of the largest sensitivity tensor; larger batches are divided by segments."""
 SEGMENTS = 16
 """Number of segments whose covariances are factored at once."""
 
@@ -53,9 +53,9 @@ class Weak:
 
     Attributes:
         robust: robust loss of residuals: none (squares), huber or student.
-        relative: whether to add the model discrepancy of the field to the noise. Used at the start, far from
-            the truth; once residuals are nearly noise, sums of many residuals are more informative without
-            it.
+        relative: whether to add the model discrepancy of the field to the noise. Used in early stages, far
+            from the true field; once residuals are nearly noise, sums of many residuals are more informative
+            without it.
     """
 
     robust: RobustName = "none"
@@ -123,7 +123,7 @@ class WeakProblem:
         return BandedFactor.joined(each(of, slices(len(self.values), SEGMENTS), self.values.device))
 
     def _bands(self, part: slice, rates: Tensor | None) -> list[Tensor]:
-        """Return the covariances of segments in the format of `Factor.of`; 1 for missing sums."""
+        """Return the covariances of segments in the format of `BandedFactor.of`; 1 for missing sums."""
         tests, size = self.tests.rows(part), self.values.shape[-1]
         nearest, *further = tests.covariances(size, rates)
         missing = (~tests.there).unsqueeze(-1).expand(-1, -1, size)

@@ -8,13 +8,14 @@ import torch
 from torch import Tensor
 
 POWER = 8
-"""Exponent p of phi = (1 - u^2)^p: number of derivatives vanishing at its ends, so sums equal integrals."""
+"""Exponent p of phi = (1 - u^2)^p: derivatives below order p vanish at its ends, so sums equal integrals."""
 NARROWEST = {1: 10, 2: 6}
-"""Minimum number of samples in half a span, by the order of the equation: with fewer, sums are not integrals,
-however small the noise. Positions are sparse, and wide spans would smooth out regions of large forces.
+"""Minimum number of samples in half a span, by the order of the equation: with fewer, sums differ from
+integrals, however small the noise. Measured positions (order 2) are sparse, and wide spans would smooth out
+regions of large forces.
 """
 DEGREE = 7
-"""Degree of polynomials for which sums are exact at finitely many samples."""
+"""Degree up to which sums over finitely many samples are exact for polynomials."""
 PER_WIDTH = 3
 """Number of test functions that begin within half a span."""
 UNEVEN = 3.0
@@ -43,7 +44,7 @@ class Tests(NamedTuple):
         return Tests(self.stride, self.on_field[part], self.on_data[part], self.there[part])
 
     def covariances(self, size: int, rates: Tensor | None = None) -> list[Tensor]:
-        """Return the covariances of sums over overlapping spans, closest first, for `Factor.of`.
+        """Return the covariances of sums over overlapping spans, closest first, for `BandedFactor.of`.
 
         Noise n of the samples changes a sum by phi' n + phi J n, or by -phi'' n + phi J n for a second-order
         equation, with J the derivative of its right-hand side: noise of a momentum also affects the position
@@ -116,7 +117,7 @@ def bumps(times: Tensor, present: Tensor, width: int, order: int = 1) -> Tests:
 
 
 def _correction(on_field: Tensor, on_data: Tensor, u: Tensor, half: Tensor, order: int) -> Tensor:
-    """Return the correction that makes sums exact for polynomials x(t) of `DEGREE`.
+    """Return the correction that makes sums exact for polynomials x(t) up to `DEGREE`.
 
     It is the smallest such correction, small where phi is small. Without it, a large mean position would
     contribute to sums over spans with few samples.

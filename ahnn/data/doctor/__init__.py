@@ -1,4 +1,4 @@
-"""Data doctor: all defects of data found in one pass before training."""
+"""Data doctor: finds all defects of data in one pass before training."""
 
 from __future__ import annotations
 

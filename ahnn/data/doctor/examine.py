@@ -96,7 +96,7 @@ def diagnosis(contents: Sequence[Content], mass: float | Sequence[float] | None,
 
 
 def clash(first: Content, other: Content) -> list[Finding]:
-    """Describe how a file differs from the first one, with which it would be read."""
+    """Describe how a file differs from the first one, together with which it would be read."""
     wrong = [name for name in KINDS if getattr(first, name) != getattr(other, name)]
     expected = f"the same {' and '.join(wrong)} as in {first.tracks[0].file}"
     place = Place(other.tracks[0].file, other.head)

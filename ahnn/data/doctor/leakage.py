@@ -11,7 +11,7 @@ from ahnn.data.files.samples import Track
 RUN = 8
 """Minimum number of equal consecutive samples (or a complete trajectory): a few may be equal by chance."""
 LEAST = 3
-"""Number of samples of a trajectory that are compared."""
+"""Minimum number of samples of a trajectory that is compared."""
 
 
 def leakage_findings(tracks: list[Track]) -> list[Finding]:
@@ -35,7 +35,7 @@ def leakage_findings(tracks: list[Track]) -> list[Finding]:
 
 
 def finding(one: Track, other: Track, at: int, first: int) -> Finding:
-    """Build the finding that a track repeats another."""
+    """Build the finding that a track repeats samples of another."""
     name = f" of trajectory {one.name}" if one.name else ""
     what = f"this and later samples repeat the samples from row {one.rows[first]} of {one.file}{name}"
     return Finding("fault", other.file, int(other.rows[at]), "", what, "Keep one of the two trajectories")

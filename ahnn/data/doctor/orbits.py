@@ -1,7 +1,7 @@
 """Tests of orbits for wrong units or frames, from accelerations derived from positions.
 
-For each hypothesis on unit and frame the acceleration is compared with mu/r^2; hypotheses differ by factors,
-so that at most one fits.
+For each hypothesis about unit and frame, the acceleration is compared with mu/r^2; hypotheses differ by
+factors, so that at most one fits.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ MU = {
 EXACT = 0.02
 """Relative difference of accelerations that is attributed to perturbations."""
 FITS = 0.1
-"""Maximum difference under another hypothesis; it must also be much smaller than under the stated one."""
+"""Maximum difference for another hypothesis; the stated unit and frame must also fit much worse."""
 UNCLEAR = 0.15
-"""Uncertainty of the accelerations above which no statement is made."""
+"""Relative uncertainty of the accelerations above which nothing is reported."""
 LENGTHS = {
     1.0: "",
     1e-3: "positions are 1000 times too large (m as km?)",
@@ -88,12 +88,12 @@ def words(frame: str) -> list[str]:
 
 
 def hypothesis(times: Array, positions: Array, body: str | None, *, turning: bool) -> str:
-    """Return the unit or frame mistake that explains an orbit (km, s); "" without mistake or orbit.
+    """Return the unit or frame mistake that explains an orbit (km, s); "" if there is none.
 
     Args:
         times: (T,) in s.
         positions: (T, 3) in km.
-        body: central body; None for any, with mistakes tested for Earth orbits.
+        body: central body; None for any body; mistakes are then tested for Earth orbits.
         turning: whether the stated frame rotates with the Earth.
     """
     mu = [MU[body or "EARTH"]]
@@ -114,7 +114,7 @@ def misfit(times: Array, positions: Array, bodies: Collection[float], *, turned:
     Args:
         times: (T,), s.
         positions: (T, 3), km.
-        bodies: values of mu in km^3/s^2, of which the best is used.
+        bodies: values of mu in km^3/s^2; the best one is used.
         turned: whether to transform the positions from an Earth-fixed frame first.
     """
     if turned:

@@ -18,18 +18,19 @@ from ahnn.data.noise_floor import ORDERS, SHARE, differences_level, looked_at, n
 FAR = 30.0
 """Deviation from the local polynomial, in units of its uncertainty, beyond which a sample is an outlier."""
 EVEN, LEAST = 0.1, 1e-6
-"""Outlier criteria: the part of its neighbours' deviations that a sample may not explain, and its least size
-relative to all samples."""
+"""Outlier criteria: maximum deviation of the neighbours that the sample does not explain, relative to its
+own, and minimum deviation relative to the largest value.
+"""
 WIDE, NEAR = 100.0, 10.0
-"""Deviation from the median of a file, in robust standard deviations, that a run of values of another scale
-reaches, and that all of its values exceed.
+"""Deviations from the median of a file, in robust standard deviations: some value in a run on another scale
+exceeds the first, and all of them exceed the second.
 """
 EXAMPLES = 64
 """Number of trajectories of a file whose noise is estimated."""
 
 
 def sample_findings(content: Content, gap: float) -> Iterator[Finding]:
-    """Yield findings on missing values, gaps, constant columns, wide angles, and noise.
+    """Yield findings on missing values, gaps, outliers, constant columns, wide angles, and noise.
 
     Args:
         content: content of a file.
@@ -83,7 +84,7 @@ def constant(content: Content, names: tuple[str, ...]) -> Iterator[Finding]:
 
 
 def too_few(contents: Sequence[Content]) -> Iterator[Finding]:
-    """Yield findings on too few data for training or test in all files."""
+    """Yield a finding if all files together contain too few data for training or test."""
     tracks = [track for content in contents for track in content.tracks]
     if not tracks:
         return
@@ -150,7 +151,7 @@ def runs_of_outliers(content: Content, names: tuple[str, ...]) -> Iterator[Findi
 
 
 def runs(mask: np.ndarray) -> list[tuple[int, int]]:
-    """Return the first and last index of each run of true values of (T,), over holes of up to two samples."""
+    """Return first and last index of each run of true values of (T,), across holes of up to two samples."""
     at = np.flatnonzero(mask)
     parts = np.split(at, np.flatnonzero(np.diff(at) > 3) + 1) if len(at) else []
     return [(int(part[0]), int(part[-1])) for part in parts]

@@ -46,10 +46,10 @@ class Slopes(NamedTuple):
 
 
 def slopes(times: Array, values: Array, order: int) -> Slopes | None:
-    """Return derivatives for the stride with the least difference of three and five points.
+    """Return derivatives for the stride at which three- and five-point stencils differ least.
 
-    Short strides amplify noise, long ones the curvature of the motion; the uncertainties include both.
-    Returns None for fewer than seven samples.
+    Short strides amplify noise, long ones the error due to curvature; the uncertainties include both. Returns
+    None for fewer than seven samples.
 
     Args:
         times: (T,) increasing times.

@@ -16,14 +16,16 @@ from ahnn.data.files.units import LENGTH, unit
 EXACT = 0.03
 """Relative difference that is tolerated."""
 DOUBTS = 8.0
-"""Multiple of the uncertainties of derivatives and velocities that explains a difference.
+"""Tolerated difference, as a multiple of the uncertainties of derivatives and velocities.
 
 Noise changes a derivative by 3.6 times its effect on the difference between five- and three-point stencils.
 """
 OF_SPEED = 0.01
-"""Tolerated difference relative to orbital speed: theories such as SGP4 differ by this amount."""
+"""Tolerated difference relative to orbital speed: velocities of theories such as SGP4 are inexact by this
+amount.
+"""
 UNCLEAR = 0.1
-"""Uncertainty above which no statement is made."""
+"""Relative uncertainty above which nothing is reported."""
 LEAST = 8
 """Minimum number of samples for testing a trajectory individually; shorter ones are pooled."""
 FACTORS = {
@@ -98,8 +100,8 @@ def of_component(content: Content, c: int, pairs: list[tuple[Track, VelocityComp
 def misfit(one: VelocityComparison, c: int, *, orbit: bool = False) -> float | None:
     """Return 1 for a correct velocity, else its ratio to the derivative (0 if not proportional).
 
-    Returns None if undetermined. For orbits, the velocity components are also compared with the
-    orbital speed.
+    Returns None if undetermined. For orbits, differences that are small relative to the orbital speed are
+    also tolerated.
     """
     exact = OF_SPEED * float(np.median(np.linalg.norm(one.derived, axis=1))) if orbit else 0.0
     stated, derived, doubts = (part[:, c] for part in one)

@@ -26,7 +26,7 @@ class FieldMessage:
     """Fields of a message.
 
     Attributes:
-        place: begin of the message.
+        place: beginning of the message.
         about: description of the message.
         values: texts by keyword.
         rows: line numbers.
@@ -70,7 +70,7 @@ class FieldMessage:
                 self.at(key).refuse(f"units {wanted}", repr(unit))
 
     def unknown(self, known: Sequence[str]) -> list[str]:
-        """Return a remark on keywords absent from the standard."""
+        """Return the keywords absent from the standard, each with a similar known one if there is one."""
         every = (*known, *HEADER)
         return [f"{key}{nearest(key, every)}" for key in self.values if key not in every]
 

@@ -30,7 +30,7 @@ COORDINATE = re.compile(r"(?P<stem>q|x|(?P<angle>theta|phi|psi|alpha|angle))(?P<
 PLACED = re.compile(r"(position|pos|r|q)(?P<of>.*)")
 """Prefixes of position names: the velocity of rx or position_x is vx."""
 DEVIATIONS = "sd_"
-"""Prefixes of standard deviation names, which a training receives as data.noise."""
+"""Prefix of the names of standard deviations; training uses data.noise instead of them."""
 CONTROL = re.compile(r"u\d*|(control|input|torque|command|cmd)(_?\w+)?")
 """Names of control columns, if positions are also present."""
 NO_POSITION = re.compile(
@@ -55,7 +55,7 @@ class Roles(NamedTuple):
         id: column of the trajectory id; None for a single trajectory.
         positions: columns of the n positions.
         rates: columns of the n velocities or momenta, in the order of the positions; empty if unknown.
-        kind: velocity or momentum.
+        kind: kind of the rates: velocities or momenta.
         controls: columns of the controls.
     """
 
@@ -76,7 +76,7 @@ class Roles(NamedTuple):
 
 
 def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
-    """Determine the roles of columns from a sidecar or from their names, in any case.
+    """Determine the roles of columns from a sidecar, or from their names in upper or lower case.
 
     By name, `t` or `time` is the time and `id` or `trajectory` the trajectory id; `rates_of` defines
     velocities and momenta, standard deviations begin with `sd_`, `CONTROL` defines controls, and all other
@@ -84,12 +84,13 @@ def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
 
     Args:
         header: header of the file.
-        named: mapping from roles to column names, as in a sidecar. With positions in it, other columns are
-            ignored; without, they have the roles of their names.
+        named: mapping from roles to column names, as in a sidecar. If it names positions, all columns that it
+            does not name are ignored; otherwise, their names determine their roles.
         place: place of the header.
 
     Raises:
-        UserError: a missing column, a column without counterpart, or a name that no position has.
+        UserError: a missing column, a column without counterpart, or a position with the name of another
+            quantity.
     """
     names, aside = header.names, Place(str(beside(Path(place.file))))
     known = of_sidecar(names, named, aside)
@@ -128,14 +129,14 @@ def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
 
 
 def is_deviation(name: str) -> bool:
-    """Return whether a column is, by its name, a standard deviation of another."""
+    """Return whether a column is, by its name, the standard deviation of another column."""
     return name.lower().startswith(DEVIATIONS)
 
 
 def partner(names: tuple[str, ...], column: int, rest: list[int]) -> tuple[int, Kind] | None:
-    """Return the position of a velocity or momentum column, and which of the two; None for a position.
+    """Return the position that belongs to a velocity or momentum column, and its kind; None for a position.
 
-    Names are first compared with case, then in lower case.
+    Names are compared first as written, then in lower case.
     """
     for fold in (str, str.lower):
         own = bare(fold(names[column]))

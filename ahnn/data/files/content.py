@@ -89,7 +89,7 @@ def joined(parts: list[Content], places: list[Place]) -> Content:
 
 
 def since_first(contents: list[Content]) -> list[Content]:
-    """Return contents with times counted from the first of their epochs, which is added to their frame."""
+    """Return contents with times counted from the first of their epochs, which is appended to their frame."""
     known = [content.epoch for content in contents if content.epoch is not None]
     return [counted(content, min(known)) if known else content for content in contents]
 
@@ -105,6 +105,6 @@ def counted(content: Content, first: int) -> Content:
 
 
 def shifted(content: Content, first: int) -> tuple[Track, ...]:
-    """Return the tracks of content with an epoch, with times since another epoch."""
+    """Return the tracks of content with times counted from another epoch."""
     shift = ((content.epoch or 0) - first) / epochs.SECOND / unit(content.units.time).size
     return tuple(track._replace(times=track.times + shift) for track in content.tracks)

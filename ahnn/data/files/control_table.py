@@ -92,7 +92,7 @@ def _times(sheet: Sheet, space: Space) -> tuple[Array, str]:
 
 
 def _column(sheet: Sheet, column: int) -> Array:
-    """Return the numbers of a column without missing values."""
+    """Return the numbers of a column; raises UserError for missing values."""
     values = numbers(sheet, column, refuse)
     for k in np.flatnonzero(np.isnan(values)):
         where = Place(sheet.place.file, int(sheet.rows[k]), sheet.header.names[column])

@@ -31,7 +31,7 @@ FIRST_DAY, LAST_DAY = 41317.0, 125000.0
 FARTHEST = 2e9
 """Maximum distance in metres; the Moon is at 4e8."""
 FASTEST = 3e5
-"""Maximum speed in m/s; a body at that distance has half of it in an Earth-fixed frame."""
+"""Maximum speed in m/s; a body at `FARTHEST` has half of it in an Earth-fixed frame."""
 UNUSED = {
     "00": "comments",
     "h3": "expected accuracies",
@@ -49,7 +49,7 @@ def read_cpf(path: str | Path) -> Content:
     """Read the orbit of a prediction in km, with times since its epoch.
 
     Raises:
-        UserError: an error, with its line number.
+        UserError: invalid content; the message gives its line number.
     """
     path = Path(path)
     return cpf_content(decoded(content_of(path), path), str(path), weighed=False)
@@ -65,7 +65,7 @@ def cpf_content(text: str, file: str, *, weighed: bool, note: Note = refuse) -> 
         note: callback for damaged records, which are then skipped, and for unused content.
 
     Raises:
-        UserError: no orbit in a supported frame, or errors of `note`.
+        UserError: no orbit in a supported frame, or an error raised by `note`.
     """
     reader = _CpfReader(file)
     for row, line in enumerate(text.split("\n"), 1):

@@ -59,12 +59,12 @@ def content(
         text: sets of two lines, or of three with a name before them.
         file: file name, for messages.
         step: seconds between samples.
-        duration: seconds of each trajectory.
+        duration: duration of each trajectory in seconds.
         weighed: whether a mass is stated.
         note: callback for sets that are damaged or cannot be propagated.
 
     Raises:
-        UserError: no step or duration, no set, or errors of `note`.
+        UserError: no step or duration, no set, or an error raised by `note`.
     """
     expected = "an element set, whose lines begin with 1 and 2"
     read = partial(orbits_of, text, file)
@@ -73,7 +73,7 @@ def content(
 
 
 def orbits_of(text: str, file: str, model: Any, note: Note) -> Iterator[MeanOrbit]:
-    """Yield the orbit of each set; sets without numbers are noted and skipped."""
+    """Yield the orbit of each set; sets with invalid numbers are reported to `note` and skipped."""
     for one in sets_of(text, file, note):
         try:
             yield MeanOrbit(one.place, one.lines[0][2:7].strip(), satellite_of(model, one), epoch(one))
@@ -82,7 +82,7 @@ def orbits_of(text: str, file: str, model: Any, note: Note) -> Iterator[MeanOrbi
 
 
 def sets_of(text: str, file: str, note: Note) -> list[ElementSets]:
-    """Return the sets of a text; other lines are names and comments."""
+    """Return the sets of a text; other lines, such as names and comments, are ignored."""
     lines = [(row, line) for row, line in enumerate(text.split("\n"), 1) if line[:2] in ("1 ", "2 ")]
     found: list[ElementSets] = []
     pending: tuple[int, str] | None = None

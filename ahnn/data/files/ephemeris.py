@@ -54,7 +54,7 @@ class Ephemeris(NamedTuple):
 
     Attributes:
         object_id, object_name: identifiers of the satellite, such as 2009-012A.
-        center, frame, time_system: such as EARTH, EME2000 and UTC.
+        center, frame, time_system: centre, frame and time scale, such as EARTH, EME2000 and UTC.
         start: epoch in picoseconds (`epochs.instant`).
         times: (T,) seconds since the start.
         states: (T, 6) positions in km and velocities in km/s.
@@ -99,7 +99,7 @@ class MessageBlock:
     """A segment as text.
 
     Attributes:
-        place: begin of the segment.
+        place: beginning of the segment.
         meta: metadata.
         vectors: states with line numbers: an epoch and at least six numbers.
         matrices: covariances with line numbers: epoch, frame and the 21 numbers of a lower triangle.
@@ -133,7 +133,7 @@ def ephemeris(block: MessageBlock, note: Note = refuse) -> Ephemeris:
         note: callback for invalid states, which are then skipped.
 
     Raises:
-        UserError: missing content, with its line number, or errors of `note`.
+        UserError: missing content (the message gives the line number), or an error raised by `note`.
     """
     for key in REQUIRED:
         if not block.meta.get(key):
@@ -261,7 +261,7 @@ def contents(blocks: list[MessageBlock], *, weighed: bool, note: Note = refuse) 
         note: callback for invalid states, times that do not increase, and unused content.
 
     Raises:
-        UserError: errors of `note`.
+        UserError: an error raised by `note`.
     """
     found = []
     for block in blocks:

@@ -36,7 +36,7 @@ LEAPS = tuple(
 
 
 def instant(text: str, *, utc: bool) -> int:
-    """Parse an epoch to picoseconds since the first day of 2000.
+    """Parse an epoch to picoseconds since the beginning of 2000.
 
     Args:
         text: text such as 2024-03-01T12:00:00.125 or 2024-061T12:00:00, optionally with a blank instead of T,

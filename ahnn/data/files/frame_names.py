@@ -32,6 +32,6 @@ def known(frame: str) -> str:
 
 
 def remedy(*given: str) -> str:
-    """Return a remedy for different frames: a key if they can be transformed, else manual work."""
+    """Return a remedy for different frames: an option if they can be transformed, else manual conversion."""
     turnable = len({frame.split(",")[0] for frame in given}) > 1 and all(map(known, given))
     return "system.frame=GCRF converts all of them" if turnable else "Convert one of them"

@@ -93,7 +93,7 @@ def rotations(tt: Array, given: str, frame: str) -> NDArray[np.float64]:
         matrices = bias.T
     elif given != "GCRF":
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", erfa.ErfaWarning)  # years with unannounced leap seconds
+            warnings.simplefilter("ignore", erfa.ErfaWarning)  # for years without announced leap seconds
             ut1 = erfa.taiutc(*erfa.tttai(*tt))
         matrices = erfa.c2t06a(*tt, *ut1, 0.0, 0.0).transpose(0, 2, 1)
         if given == "TEME":

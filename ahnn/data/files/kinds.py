@@ -52,7 +52,7 @@ SUFFIXES: dict[str, Kind] = {
     ".xml": "xml",
     ".tle": "elements",
 }
-"""Extensions that decide for files of ambiguous content, i.e. damaged ones."""
+"""Extensions that decide the kind of files with ambiguous content, i.e. damaged ones."""
 ELEMENTS = re.compile(r"1 [ \dA-Z]{5}[A-Z ] ")
 MESSAGE = re.compile(r"CCSDS_(\w+)_VERS\b")
 ROOT = re.compile(r"<(?:\w+:)?(oem|opm|omm|tdm)\b")

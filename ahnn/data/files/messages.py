@@ -23,7 +23,7 @@ def read_oem(path: str | Path) -> list[Ephemeris]:
     """Read the segments of an orbit ephemeris message.
 
     Raises:
-        UserError: an error, with its line number.
+        UserError: invalid content; the message gives its line number.
     """
     path = Path(path)
     raw = content_of(path)
@@ -36,7 +36,7 @@ def read_opm(path: str | Path) -> list[Ephemeris]:
     """Read the states of an orbit parameter message, each as an ephemeris of one state.
 
     Raises:
-        UserError: an error, with its line number.
+        UserError: invalid content; the message gives its line number.
     """
     path = Path(path)
     raw = content_of(path)

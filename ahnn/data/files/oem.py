@@ -27,10 +27,10 @@ def blocks_of(text: str, file: str, note: Note = refuse) -> list[MessageBlock]:
     Args:
         text: text of the message.
         file: file name.
-        note: callback for states with too few numbers, which are then skipped.
+        note: callback for states with a wrong number of values, which are then skipped.
 
     Raises:
-        UserError: unexpected content, with its line number, or errors of `note`.
+        UserError: unexpected content (the message gives its line number), or an error raised by `note`.
     """
     lines = [(row, line.strip()) for row, line in enumerate(text.split("\n"), 1)]
     used = [(row, line) for row, line in lines if line and not line.startswith("COMMENT")]
@@ -75,7 +75,7 @@ CHANGES = {
     ("COVARIANCE_START", "data"): "covariance",
     ("COVARIANCE_STOP", "covariance"): "data",
 }
-"""Actions of a line on the state of the parser."""
+"""Next state of the parser, by line and current state."""
 
 
 def pair(line: str, place: Place) -> tuple[str, str]:
@@ -87,7 +87,7 @@ def pair(line: str, place: Place) -> tuple[str, str]:
 
 
 def add_vector(block: MessageBlock, line: str, place: Place, note: Note) -> None:
-    """Add a state to a block, or note that it has too few numbers; accelerations after it are ignored."""
+    """Add a state to a block, or report a wrong number of values to `note`; accelerations are ignored."""
     cells = line.split()
     if "=" in line:
         place.refuse("a state, a covariance or META_START", repr(line), ALONE)

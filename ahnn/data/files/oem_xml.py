@@ -81,7 +81,7 @@ class _Reader:
         return self.blocks[-1] if self.blocks else self.place.refuse("a <segment> around it", "none")
 
     def start(self, name: str, attributes: dict[str, str]) -> None:
-        """Begin an element; raises UserError for elements foreign to ephemerides."""
+        """Begin an element; raises UserError for elements that do not belong to an ephemeris."""
         self.text, tag, place = "", name.rpartition(":")[2], self.place
         if tag.upper() in MESSAGES:
             refuse_message(tag.upper(), place)

@@ -1,6 +1,6 @@
 """Orbit mean-elements messages (CCSDS 502.0-B) of SGP4: XML, keyword = value notation, CSV and JSON.
 
-CSV and JSON follow the published form of element sets: one column or key per keyword.
+CSV and JSON have the form in which catalogues publish element sets: one column or key per keyword.
 """
 
 from __future__ import annotations
@@ -80,12 +80,12 @@ def omm_content(
         text: messages in one of the four notations.
         file: file name.
         step: seconds between samples.
-        duration: seconds of each trajectory.
+        duration: duration of each trajectory in seconds.
         weighed: whether a mass is stated.
         note: callback for messages that are damaged or cannot be propagated, which are then skipped.
 
     Raises:
-        UserError: no step or duration, no message, or errors of `note`.
+        UserError: no step or duration, no message, or an error raised by `note`.
     """
     read = partial(_orbits, text, file)
     names = {"named": "mean elements (OMM)", "expected": ABOUT["OMM"], "unused": NOT_USED}
@@ -93,7 +93,7 @@ def omm_content(
 
 
 def _orbits(text: str, file: str, model: Any, note: Note) -> Iterator[MeanOrbit]:
-    """Yield the orbit of each message; damaged ones are noted and skipped."""
+    """Yield the orbit of each message; damaged ones are reported to `note` and skipped."""
     for one in omm_messages(text, file, note):
         try:
             yield _orbit(one, model, note)

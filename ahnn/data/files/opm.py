@@ -31,7 +31,7 @@ def opm_blocks(text: str, file: str, note: Note = refuse) -> list[MessageBlock]:
         note: callback for non-standard keywords and unused manoeuvres.
 
     Raises:
-        UserError: missing or wrong content, with its line number.
+        UserError: missing or wrong content; the message gives its line number.
     """
     return [_block(one, note) for one in field_messages(text, file, "OPM")]
 

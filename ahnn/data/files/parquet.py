@@ -1,4 +1,4 @@
-"""Parquet files as tables with CSV columns and units in names or field metadata."""
+"""Parquet files as tables with the columns of CSV files, and units in names or field metadata."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def read_parquet(raw: bytes, file: str, note: Note = refuse) -> Sheet:
         note: callback for an unused index and unused metadata.
 
     Raises:
-        UserError: not Parquet, a column of an unsupported type, or duplicate units.
+        UserError: not Parquet, a column of an unsupported type, or contradictory units.
     """
     arrow = library("pyarrow", "pyarrow", "parquet", file)
     reader = library("pyarrow.parquet", "pyarrow", "parquet", file)

@@ -62,11 +62,11 @@ def ordered(track: Track, column: str, note: Note = refuse) -> Track:
         track: track as read.
         column: time column.
         note: callback for times that are missing, repeated or decreasing; such samples are then skipped.
-            Times that restart where they began are one fault, and only the first of these trajectories is
-            returned.
+            Times that restart from the first one count as a single fault, and only the samples before the
+            restart are returned.
 
     Raises:
-        UserError: errors of `note`.
+        UserError: an error raised by `note`.
     """
     place, whose = Place(track.file, 0, column), f" of {track.name}" if track.name else ""
     for row in track.rows[np.isnan(track.times)]:
@@ -96,10 +96,10 @@ def ordered(track: Track, column: str, note: Note = refuse) -> Track:
 
 
 def restarts(times: Array) -> NDArray[np.int64]:
-    """Return the samples at which times fall back, if each falls to the first time, to half a median step.
+    """Return the samples at which times fall back to the first time, within half a median step.
 
-    Such rows are several trajectories below each other; otherwise, or if one of them is a single sample, the
-    result is empty.
+    Such rows contain several trajectories. The result is empty if times also fall back elsewhere, or if one
+    of the trajectories is a single sample.
     """
     steps = np.diff(times)
     found = np.flatnonzero(steps < 0) + 1
@@ -111,10 +111,10 @@ def restarts(times: Array) -> NDArray[np.int64]:
 
 
 def filled(track: Track, gap: float, *, linear: bool = False) -> Track:
-    """Fill the gaps of a track with missing samples, spaced about like the existing samples.
+    """Fill the gaps of a track with missing samples, at about the spacing of the existing ones.
 
-    On a regular grid every missing point is a gap; otherwise every step longer than `gap` times the median.
-    Controls continue through a gap, held or interpolated linearly.
+    On a regular grid every missing point is a gap; otherwise, every step longer than `gap` times the median
+    step is one. Controls continue through a gap, held or interpolated linearly.
 
     Raises:
         UserError: a gap long enough to separate two trajectories.
@@ -154,7 +154,7 @@ def cut(track: Track, samples: int | None) -> list[Track]:
 
 
 def trimmed(track: Track, *, partly: bool = False) -> Track:
-    """Trim a track to the range from its first to its last complete sample, or partly known one."""
+    """Trim a track to the range from its first to its last complete (or partly known) sample."""
     there = np.isfinite(track.values)
     chosen = np.flatnonzero(there.any(1) if partly else there.all(1))
     return track.part(slice(chosen[0], chosen[-1] + 1) if len(chosen) else slice(0))

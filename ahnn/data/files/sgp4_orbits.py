@@ -54,15 +54,15 @@ def sgp4_content(
     Args:
         orbits: generator of mean elements, called with the module `sgp4.api` and the fault callback.
         file: file name, for messages.
-        span: seconds between samples, and seconds of each trajectory.
+        span: sampling interval and duration of each trajectory, in seconds.
         weighed: whether a mass is stated.
         named: name of the elements in messages.
-        expected: expected content, for the message on a file without elements.
+        expected: expected content, for the message about a file without elements.
         unused: remark on fields not needed by SGP4.
         note: callback for elements that are damaged or cannot be propagated.
 
     Raises:
-        UserError: no step or duration, no elements, or errors of `note`.
+        UserError: no step or duration, no elements, or an error raised by `note`.
     """
     step, duration = span
     if step is None or duration is None or duration < step:

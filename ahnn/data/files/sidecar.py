@@ -39,7 +39,7 @@ class Sidecar(NamedTuple):
 
 
 def beside(path: Path) -> Path:
-    """Return the path of a data file's sidecar, if it exists."""
+    """Return the path of a data file's sidecar, or the path that it would have."""
     names = [path.with_suffix(suffix) for suffix in SUFFIXES]
     return next((name for name in names if name.is_file()), names[0])
 
@@ -48,7 +48,7 @@ def parse(text: str, file: str) -> Sidecar:
     """Parse the text of a sidecar.
 
     Raises:
-        UserError: not YAML, or keys other than `KEYS`.
+        UserError: not YAML, a key other than `KEYS`, or an invalid value.
     """
     try:
         content = plain_yaml(text)
@@ -85,7 +85,7 @@ def with_units(header: Header, sidecar: Sidecar, place: Place) -> Header:
 
 
 def written(path: Path, said: Sidecar) -> bytes:
-    """Return the text of the sidecar of an output file."""
+    """Return the sidecar of an output file as bytes."""
     about = f"# Units, columns and frame of {path.name}\n"
     usual = {"controls": BETWEEN[0]}.items()
     plain = {key: value for key, value in said._asdict().items() if (key, value) not in usual}
@@ -93,7 +93,7 @@ def written(path: Path, said: Sidecar) -> bytes:
 
 
 def require_place(path: Path) -> None:
-    """Raise UserError for a file whose sidecar would overwrite another file's."""
+    """Raise UserError if the sidecar of an output would overwrite a file that ahnn did not write."""
     require_own([beside(path)], "output")
 
 

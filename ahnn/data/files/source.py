@@ -27,8 +27,8 @@ class Files(Recordings):
 
     Args:
         name: name of the data, in folders and tables.
-        path: path of one or several files; refused if there is none.
-        mass: factor m of p = m dq/dt, in kg (of angles: the inertia in kg m^2), common or per coordinate;
+        path: path of one or several files; None is an error.
+        mass: factor m of p = m dq/dt, in kg (for angles, the inertia in kg m^2), common or per coordinate;
             None for 1, with energies per unit mass.
         cut: number of samples of the segments into which trajectories are cut; None: not cut.
         gap: multiple of the median step that counts as a gap, for samples not on a grid.
@@ -38,7 +38,7 @@ class Files(Recordings):
         unsound: whether to accept data rejected by `check`.
 
     Raises:
-        UserError: a file that cannot be read, with row and column, or incompatible files.
+        UserError: a file that cannot be read (the message gives row and column), or incompatible files.
     """
 
     lists = "`python -m ahnn.data check` lists all faults. "

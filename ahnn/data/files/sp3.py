@@ -31,7 +31,7 @@ MISSING = 999999.0
 
 @dataclass
 class Sp3Orbit:
-    """Positions of one satellite: line, epoch, km, and km/s if available."""
+    """Orbit of one satellite: line numbers, epochs, positions in km, and velocities in km/s if available."""
 
     rows: list[int] = field(default_factory=list)
     moments: list[int] = field(default_factory=list)
@@ -49,7 +49,7 @@ def sp3_content(text: str, file: str, *, weighed: bool, note: Note = refuse) -> 
         note: callback for damaged lines, which are then skipped, and for unused content.
 
     Raises:
-        UserError: no orbit, an unsupported time system or frame, or errors of `note`.
+        UserError: no orbit, an unsupported time system or frame, or an error raised by `note`.
     """
     reader = _Sp3Reader(file, note)
     for row, line in enumerate(text.split("\n"), 1):
@@ -152,12 +152,12 @@ class _Sp3Reader:
         return None
 
     def absent_or_misplaced(self, line: str, place: Place) -> None:
-        """Skip the velocity of a missing position; raises UserError for any other."""
+        """Skip the velocity of a missing position; raises UserError for any other velocity."""
         if any(_numbers(line, place, MISSING + 1)):
             place.refuse("a position of the satellite before its velocity", "none")
 
     def content(self, weighed: bool) -> Content:
-        """Return the orbits, with times since the first epoch of all."""
+        """Return the orbits, with times since the earliest epoch."""
         place = Place(self.file)
         if not self.orbits:
             place.refuse("positions (lines P) in an SP3 orbit file", "none")

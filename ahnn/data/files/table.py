@@ -71,7 +71,7 @@ class Remark(NamedTuple):
         place: place of the content.
         what: ignored or interpreted content.
         remedy: remedy, "" if none is needed.
-        level: level, a warning for possible errors.
+        level: warning for possible errors, otherwise note.
     """
 
     place: Place
@@ -81,11 +81,11 @@ class Remark(NamedTuple):
 
 
 Note = Callable[[Fault | Remark], None]
-"""Callback of a reader for recoverable faults: a doctor records them, all other callers `refuse`."""
+"""Callback of a reader for faults and remarks: the doctor records them, all other callers use `refuse`."""
 
 
 def refuse(said: Fault | Remark) -> None:
-    """Raise a fault; a remark is logged."""
+    """Raise a fault, or log a remark."""
     if isinstance(said, Fault):
         raise said from None
     level = logging.WARNING if said.level == "warning" else logging.INFO
@@ -124,7 +124,7 @@ def read_csv(text: str, file: str, note: Note = refuse) -> Sheet:
         note: callback for rows of wrong length, which are then skipped, and for lines that begin with #.
 
     Raises:
-        UserError: no header, a duplicate name, or errors of `note`.
+        UserError: no header, a duplicate name, or an error raised by `note`.
     """
     there = [(row, line) for row, line in enumerate(text.split("\n"), 1) if line.strip()]
     lines = [(row, line) for row, line in there if not line.lstrip().startswith("#")]
@@ -189,7 +189,7 @@ def header_of(cells: Sequence[str], place: Place) -> Header:
 
 
 def column_of(cell: str, known: Collection[str]) -> tuple[str, str | None]:
-    """Return name and unit of a column such as `range [km]`; of a known name also `range_km`."""
+    """Return name and unit of a column such as `range [km]`, or `range_km` if the name is known."""
     found = HEADER.fullmatch(cell)
     name, unit = (found["name"], found["unit"]) if found else (cell, None)
     stem = max((one for one in known if name.startswith(f"{one}_")), key=len, default=None)
@@ -217,7 +217,7 @@ def number(cell: str, place: Place, remedy: str = EMPTY) -> float:
         remedy: remedy for messages.
 
     Raises:
-        UserError: text, or infinity.
+        UserError: text, or a number beyond `LARGEST`.
     """
     if cell.lower() in MISSING:
         return math.nan

@@ -47,7 +47,7 @@ def of_sheet(sheet: Sheet, sidecar: Sidecar, *, weighed: bool, note: Note = refu
         note: callback for cells that are not numbers, and times that do not increase.
 
     Raises:
-        UserError: an error in the header, with row and column, or errors of `note`.
+        UserError: an invalid header (the message gives row and column), or an error raised by `note`.
     """
     place, file = sheet.place, sheet.place.file
     header = with_units(sheet.header, sidecar, place)
@@ -84,7 +84,7 @@ def of_sheet(sheet: Sheet, sidecar: Sidecar, *, weighed: bool, note: Note = refu
 
 
 def controls_of(sheet: Sheet, found: Roles, note: Note) -> Array | None:
-    """Return the controls of each row, (T, m), without conversion; none may be missing."""
+    """Return the controls of each row, (T, m), without conversion; missing ones are faults."""
     if not found.controls:
         return None
     columns = [numbers(sheet, column, note) for column in found.controls]
@@ -108,7 +108,7 @@ def say_unused(header: Header, found: Roles, place: Place, note: Note) -> None:
 
 
 def trajectories(sheet: Sheet, column: int | None, whole: Track, note: Note) -> list[Track]:
-    """Return a track for each id; rows without id are noted and skipped."""
+    """Return a track for each id; rows without id are reported to `note` and skipped."""
     if column is None:
         return [whole]
     name, file = sheet.header.names[column], sheet.place.file
@@ -123,7 +123,7 @@ def numbers(sheet: Sheet, column: int, note: Note) -> Array:
     """Return a column in the unit of the file, NaN for empty or invalid cells.
 
     Raises:
-        UserError: a decimal comma, which the other cells of the file contain as well.
+        UserError: a decimal comma, since the other cells of the file probably contain it as well.
     """
     cells, name, file = sheet.columns[column], sheet.header.names[column], sheet.place.file
     if isinstance(cells, np.ndarray):
@@ -166,7 +166,7 @@ def elapsed(sheet: Sheet, column: int, clock: str, note: Note) -> tuple[Array, i
     """Return the seconds since the first epoch in a column, NaN where missing, and that epoch.
 
     Raises:
-        UserError: the first epoch is in another notation.
+        UserError: the first epoch is in an unsupported notation.
     """
     name, file = sheet.header.names[column], sheet.place.file
     moments: list[int | None] = []

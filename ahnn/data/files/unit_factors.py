@@ -29,7 +29,7 @@ def scales(header: Header, roles: Roles, place: Place, *, weighed: bool) -> Scal
     """Return units and factors: the first position and the first velocity set the units.
 
     Angles are in rad, so that a momentum divided by the inertia is their rate. Momenta are in kg times the
-    unit of the velocities (of angles: kg m^2/s, the inertia in kg m^2).
+    unit of the velocities (for angles, kg m^2/s, with the inertia in kg m^2).
 
     Args:
         header: names and units of the columns.
@@ -97,7 +97,7 @@ def wrong(header: Header, column: int, place: Place, expected: str) -> NoReturn:
 
 
 def time_unit(rate: str, clock: Unit) -> Unit:
-    """Return the time unit of a rate, so that rates need no conversion; without rates, the unit of time."""
+    """Return the time unit of a rate, so that rates need no conversion; if it has none, the unit of times."""
     last = rate.rpartition("/")[2].strip() if "/" in rate else ""
     try:
         found = unit(last)
@@ -107,7 +107,7 @@ def time_unit(rate: str, clock: Unit) -> Unit:
 
 
 def energy_unit(length: Unit, base: Unit, *, weighed: bool) -> str:
-    """Return the unit of energies, per unit mass without a stated mass."""
+    """Return the unit of energies, per unit mass if no mass is stated."""
     if length.dimension in (ANGLE, NONE.dimension):
         weight = "kg m²" if weighed and length.dimension == ANGLE else "1"
         text = weight if base.dimension == NONE.dimension else f"{weight}/{base.text}²"

@@ -16,7 +16,7 @@ from ahnn.errors import TERMINATIONS, Stopped, UserError
 from ahnn.training.finite import require_finite_loss, require_finite_weights
 
 MONITORED = ("val/loss", "val/one_step")
-"""Metrics logged in every validation; a callback adds the names in its `monitored`."""
+"""Metrics logged in every validation; a callback adds the names in its attribute `monitored`."""
 
 
 def require_monitored(who: str, name: str, trainer: Trainer) -> None:
@@ -29,9 +29,9 @@ def require_monitored(who: str, name: str, trainer: Trainer) -> None:
 
 @checked
 class BestPoint(Checkpoint):
-    """Writes best.ckpt after each validation with the smallest value so far.
+    """Writes best.ckpt after each validation with the smallest value of a metric so far.
 
-    It includes the validation before the first step of training runs that begin at known physics.
+    This includes the validation before the first step if training begins with known physics.
 
     Args:
         folder: folder of best.ckpt. It is not part of the state, so that a run may be moved.
@@ -80,9 +80,9 @@ class BestPoint(Checkpoint):
 class ResumePoint(Checkpoint):
     """Writes last.ckpt every few steps, after each validation, and when a scheduler terminates the process.
 
-    Never between the last step of an epoch and its validation: Lightning would skip that validation on
-    resumption, and the best checkpoint would differ from an uninterrupted run. SIGTERM and SIGHUP are
-    therefore deferred to the next resumable step; a second signal is not.
+    It writes none between the last step of an epoch and its validation: Lightning would skip that validation
+    on resumption, and the best checkpoint would differ from that of an uninterrupted run. SIGTERM and SIGHUP
+    are therefore deferred to the next resumable step; a second signal is not.
 
     Args:
         folder: folder of last.ckpt.

@@ -1,4 +1,4 @@
-"""Weights averaged over the steps of an epoch: individual batches scatter about the optimum of all."""
+"""Averages of the weights over an epoch: after single batches they scatter about the optimum of all."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from ahnn.arguments import Within, checked
 
 @checked
 class EpochMean(Callback):
-    """Ends each of the last epochs at the mean of the weights after its steps.
+    """Sets the weights at the end of each of the last epochs to their mean over its steps.
 
-    The mean of many steps about an optimum is closer to it than each of them (Polyak & Juditsky 1992, SIAM
-    J. Control Optim. 30, 838-855). The next epoch begins there, and so do validation and checkpoints.
+    The mean of many steps about an optimum is closer to it than each of the steps (Polyak & Juditsky 1992,
+    SIAM J. Control Optim. 30, 838-855). Validation, checkpoints and the next epoch use this mean.
 
     Args:
-        fraction: fraction of the epochs, at the end; 0: no averages.
+        fraction: fraction of the epochs, at the end of the training; 0: no averages.
     """
 
     def __init__(self, fraction: Annotated[float, Within(0, 1)]) -> None:
@@ -46,7 +46,7 @@ class EpochMean(Callback):
             self.steps, self.total = 0, torch.zeros(())
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the sums of this epoch."""
+        """Return the sum of the weights and the number of steps in this epoch."""
         return {"steps": self.steps, "total": self.total}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:

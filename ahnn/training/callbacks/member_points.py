@@ -18,7 +18,7 @@ from ahnn.training.finite import require_finite_loss
 
 
 class MemberPoints(Checkpoint):
-    """Writes best.ckpt of a member after each validation with its smallest value so far.
+    """Writes best.ckpt of a member after each validation with the smallest value of its metric so far.
 
     Args:
         folders: run folder of each member.

@@ -27,11 +27,12 @@ class ValidationRollout(Callback):
     """Logs `val/rollout`, the typical position error of full validation rollouts, in the system's unit.
 
     This is the error relevant to users, and can select the best checkpoint: a decreasing one-step loss does
-    not always improve rollouts. It is `typical_error` instead of an RMSE: rollouts of a poor model all end at
-    a distance of the system size from the truth, and an RMSE would select weights by chance.
+    not always improve rollouts. It is the `typical_error`, not an RMSE: rollouts of a poor model all end at a
+    distance of the system size from the truth, and an RMSE would select weights by chance.
 
     Measurements have no true initial state for a rollout: training on them logs nothing, and selects weights
-    by `val/loss`. The same applies to windows of full trajectories, whose loss measures predictions.
+    by `val/loss`. The same applies to windows of full trajectories, whose loss already measures full
+    predictions.
 
     Args:
         count: number of trajectories; 0 logs nothing.
@@ -44,7 +45,7 @@ class ValidationRollout(Callback):
         self._measured: float | None = None
 
     def seconds(self, epoch: int, trainer: Trainer, module: LightningModule, data: WindowDataModule) -> float:
-        """Estimate the time per epoch from a few measured rollout steps."""
+        """Estimate the duration of the rollouts in an epoch, in seconds, from a few timed steps."""
         if self._silent(data) or ((epoch + 1) % self.every and epoch + 1 != trainer.max_epochs):
             return 0.0
         if self._measured is None:

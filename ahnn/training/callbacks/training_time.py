@@ -1,4 +1,4 @@
-"""Duration of a training, including the parts before it was resumed."""
+"""Duration of a training run, including the time before it was resumed."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from lightning import Callback, LightningModule, Trainer
 
 
 class TrainingTime(Callback):
-    """Clock of the fit, kept in checkpoints."""
+    """Clock of the fit, saved in checkpoints."""
 
     def __init__(self) -> None:
         self.before, self.begun = 0.0, time.monotonic()
 
     @property
     def seconds(self) -> float:
-        """Seconds of the fit so far, over all processes that continued it."""
+        """Seconds of the fit so far, summed over all processes that ran it."""
         return self.before + time.monotonic() - self.begun
 
     def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:  # noqa: ARG002
@@ -33,7 +33,7 @@ class TrainingTime(Callback):
 
 
 def timed_fit(trainer: Trainer, *arguments: Any, **options: Any) -> float:
-    """Call `trainer.fit`; return the seconds of the training, also of the parts before it was resumed."""
+    """Call `trainer.fit`; return its duration in seconds, including the time before it was resumed."""
     clock = TrainingTime()
     trainer.callbacks.insert(0, clock)  # pyright: ignore[reportAttributeAccessIssue] - not in Lightning's types
     trainer.fit(*arguments, **options)
