@@ -33,12 +33,13 @@ class Band(NamedTuple):
     Attributes:
         deviations: (B, T, D) standard deviations.
         coverage: fractions of components of unseen states within 1, 2 and 3 standard deviations.
-        test: test of their width along the independent directions of the errors.
+        test: test of the band widths along the independent directions of the errors.
         expected: expected rms norms of position and velocity errors.
         bound: expected errors from noise only: the Cramer-Rao bound of the regularised parameters.
         efficiency: rms norms of the errors in units of that bound.
-        usual: central 95 % range of this efficiency in training runs at the bound.
-        single: errors of the first trajectory at a quarter, half and all of its time, in standard deviations.
+        usual: central 95 % range of this efficiency in training runs that attain the bound.
+        single: errors of the first trajectory after a quarter, half and all of its duration, in standard
+            deviations.
     """
 
     deviations: Tensor
@@ -60,7 +61,7 @@ class Band(NamedTuple):
         )
 
     def verdict(self) -> str:
-        """Return whether the bands are right, for the verdict; "" with too few independent directions."""
+        """Return the finding on the bands for the verdict; "" with too few independent directions."""
         told = self.test.verdict
         found = f"prediction bands are {told}: errors are {self.test.scatter:.2f} standard deviations"
         return "" if told == TOO_FEW else found
