@@ -85,7 +85,7 @@ class ReadingRuns:
         self.sensors, self.unfit = dict[str, SensorModel](), set[str]()
 
     def followed(self, window: ReadingWindow, readings: Sequence[Reading]) -> FollowedRun | None:
-        """Filter the first readings after a window; None where the first one needs a step of its own."""
+        """Filter the first readings after a window; None if the first must be processed individually."""
         state, process, name = window.state, self.models.process, readings[0].sensor
         count = self._count(window.time, readings) if self.estimator and name not in self.unfit else 0
         if not count or not isinstance(state, FilterState):

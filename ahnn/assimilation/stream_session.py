@@ -152,7 +152,7 @@ class StreamSession(StreamTally):
             self.require_taken()
 
     def _output(self, known: Notes | None) -> Any:
-        """Open the output, as recorded in a state, or a new one for None."""
+        """Open the output recorded in a state, or a new one for None."""
         if known is None:
             return Output(self.path, self.rows)
         return Output(self.path, self.rows, known.lines, known.size, known.tail)
