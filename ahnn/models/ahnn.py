@@ -13,7 +13,7 @@ from ahnn.models.module import AbstractModel
 
 @final
 class AHNN(AbstractModel):
-    """Autoregressive Hamiltonian neural network (the paper); equal to its HNN⁺ for one-step windows.
+    """Autoregressive Hamiltonian neural network of the paper; with one-step windows, its HNN⁺.
 
     Args:
         dof: degrees of freedom n.
@@ -57,7 +57,7 @@ class AHNN(AbstractModel):
         options |= {"inputs": inputs, "scaling": scaling, "network": network, "integrator": integrator}
         if inputs == "angles":
             options |= {"angular": angular}
-        if forces:  # weights of a model without forces keep their original arguments
+        if forces:  # weights of models without forces keep their original arguments
             options |= {"forces": forces, "controls": controls}
         super().__init__(make_dynamics("hamiltonian", dof=dof, **options), dof, window, loss)
         self.save_hyperparameters()
