@@ -122,7 +122,7 @@ def require_seeds(values: dict[str, Any]) -> None:
 
 
 def check_keys(values: dict[str, Any], schemas: dict[str, type]) -> None:
-    """Check the keys of nodes that belong to a schema, ignoring those with other owners."""
+    """Check the keys of nodes that belong to a schema; others are ignored, except in `evaluation`."""
     for who, schema in schemas.items():
         node = values[who] if who else values
         if not isinstance(node, dict):

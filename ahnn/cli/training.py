@@ -51,7 +51,7 @@ def of_seed(cfg: DictConfig, seed: int) -> DictConfig:
 
 
 def check(cfg: DictConfig) -> None:
-    """Make all checks of a run before data generation; called once before the first trial of a sweep.
+    """Run all checks that precede data generation; called once before the first trial of a sweep.
 
     Raises:
         UserError: an invalid job.
