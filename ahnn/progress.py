@@ -52,7 +52,7 @@ def track(items: Iterable[T], description: str, total: int) -> Iterator[T]:
 
 @contextmanager
 def stage(description: str) -> Iterator[None]:
-    """Show a stage of unknown length: its notes and the time, in a log a line every half minute."""
+    """Show the notes and elapsed time of a stage of unknown length; in a log, one line every half minute."""
     console = Console(stderr=True)
     columns = TextColumn("{task.description}"), BarColumn(20), TimeElapsedColumn()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:

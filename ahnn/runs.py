@@ -45,13 +45,13 @@ if TYPE_CHECKING:
 class Run:
     """Learned dynamics with the description of their state space.
 
-    Runs are copied and pickled as any object. Notebooks show the table of scores.
+    Runs are copied and pickled like any object. Notebooks show the table of scores.
 
     Attributes:
         dynamics: the flow, a float64 module without gradients: `run.dynamics(x, dt)`.
         space: names and units of the state components.
-        dt: sampling interval of the training data, or the step of the integrator between measurements where
-            that is shorter, in the unit of time.
+        dt: sampling interval of the training data, or the step of the integrator between measurements if that
+            is shorter, in the unit of time.
         about: description of the training data, plain values.
         folder: folder of the run, or of the shipped model.
         domain: representative training states; None for weights of an earlier version.
@@ -205,9 +205,9 @@ class Run:
 
         Args:
             start: (B, 2n) or (2n,) states at the first of the times, in the units of the space.
-            times: (T,) increasing, in its unit of time; internal steps are at most the training step.
+            times: (T,) increasing, in the space's unit of time; internal steps are at most the training step.
             description: text of the progress bar; None: no bar.
-            start_sd: standard deviations of the starts, 2n, or one for positions and one for velocities where
+            start_sd: standard deviations of the starts, 2n, or one for positions and one for velocities if
                 n > 1; by default starts are exact.
             start_covariance: alternative to `start_sd`, (2n, 2n) or (B, 2n, 2n).
             controls: values at the times, (T, m) or (B, T, m), each held until the next, for forces that
@@ -240,7 +240,7 @@ class Run:
             options: further arguments of `predict`.
 
         Raises:
-            UserError: the errors of `predict`, several starts, or no start where training states are unknown.
+            UserError: as for `predict`, or several starts, or no start and no known training states.
         """
         from ahnn.prediction.figure import PLOTTED, prediction_figure
 
@@ -269,7 +269,7 @@ class Run:
     def constants(self) -> dict[str, tuple[float, float]]:
         """Learned physical constants, such as friction: value and standard deviation.
 
-        The deviation is NaN where the parameter covariance is unknown.
+        The deviation is NaN if the parameter covariance is unknown.
         """
         found = learned_constants(self._exact, self.knowledge().spread)
         return {one.name: (one.value, one.deviation) for one in found}
@@ -293,6 +293,6 @@ class Run:
 
     @property
     def _exact(self) -> Dynamics:
-        """The dynamics in float64, also after a cast by the user."""
+        """The dynamics in float64, even after a cast by the user."""
         narrow = any(p.dtype != torch.float64 for p in self.dynamics.parameters())
         return self.dynamics.frozen() if narrow else self.dynamics
