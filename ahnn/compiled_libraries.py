@@ -47,7 +47,7 @@ class CompiledFlow(NamedTuple):
     """Flow of time-independent dynamics as a C function, for loops in C.
 
     Its type is `long (const void *about, long count, const double *x, double dt, double *out)`: it writes the
-    states (count, D) after a step dt from x to `out` and returns 0, with the same bits as the flow in Python.
+    states (count, D) after a step dt from x to `out`, bit-identical to the flow in Python, and returns 0.
 
     Attributes:
         function: address of the function.

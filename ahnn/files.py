@@ -117,7 +117,7 @@ def claimed(folder: Path, name: str = ".claim") -> Iterator[None]:
 
     Raises:
         Occupied: another process has locked the folder.
-        UserError: a file of the user has the name of the lock file.
+        UserError: a user's file has the name of the lock file.
     """
     place = folder / name
     if place.is_symlink() or (place.exists() and (not place.is_file() or place.stat().st_size)):

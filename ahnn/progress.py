@@ -1,4 +1,4 @@
-"""Progress bars on standard error that disappear when done; log lines where it is not a terminal."""
+"""Progress bars on standard error that disappear when done; log lines if it is not a terminal."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _note: ContextVar[Callable[[str], None] | None] = ContextVar("note", default=Non
 def progress_bar(*columns: TextColumn) -> Progress:
     """Return a transient progress bar with description, fraction done, time left and further columns.
 
-    It is silent where standard error is not a terminal.
+    It is silent if standard error is not a terminal.
     """
     console = Console(stderr=True)
     return Progress(

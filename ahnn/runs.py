@@ -78,9 +78,9 @@ class Run:
         return f"<p><code>{html.escape(repr(self))}</code></p>{scores}"
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Run:
-        """Return the run on a device and with parameters of a type; this one is unchanged.
+        """Return the run on a device and with parameters of a dtype; this one is unchanged.
 
-        `flow`, `energy` and `rollout` compute in this type; `predict`, `band` and `novelty` always in
+        `flow`, `energy` and `rollout` compute in this dtype; `predict`, `band` and `novelty` always in
         float64, which the device must support.
         """
         return replace(
@@ -177,7 +177,7 @@ class Run:
     def novelty(self, x: Numbers) -> Tensor:
         """Return the distance of states x, shape (..., 2n), from the training states, shape (...).
 
-        Distances are of network inputs, scaled so that one training state in a hundred is beyond 1.
+        Distances are between network inputs, scaled so that one training state in a hundred is beyond 1.
 
         Raises:
             UserError: the weights contain no representative training states.
@@ -198,7 +198,7 @@ class Run:
         *,
         linear: bool = False,
     ) -> Prediction:
-        """Return predicted states at given times, with covariance and novelty where available.
+        """Return predicted states at given times, with covariance and novelty if available.
 
         Gradients of the states flow to the start and the parameters that require them; covariance and novelty
         are not differentiable.
@@ -232,7 +232,7 @@ class Run:
         return found
 
     def plot(self, start: Numbers | None = None, times: Numbers | None = None, **options: Any) -> Figure:
-        """Plot one predicted trajectory, with its band and novelty where known, as a matplotlib figure.
+        """Plot one predicted trajectory, with its band and novelty if known, as a matplotlib figure.
 
         Args:
             start: (2n,) state at the first of the times; by default a training state.

@@ -51,7 +51,7 @@ class Workers(NamedTuple):
             library("ray", "ray", "ray", "workers")
 
     def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-        """Return the results of a function of a module for each of the items, in their order.
+        """Return the results of a module-level function for each of the items, in their order.
 
         A task whose worker is killed starts again in another worker, at most `STARTS` times in all.
 

@@ -20,7 +20,7 @@ class MergedRows:
 
     Args:
         rows: formatter of the rows.
-        paths: outputs of the workers; missing ones have no rows.
+        paths: outputs of the workers; a missing file counts as empty.
     """
 
     def __init__(self, rows: Rows, paths: Sequence[Path]) -> None:

@@ -31,7 +31,7 @@ class FollowedRun(NamedTuple):
         rows: beliefs after the readings, with residuals, NIS and log-likelihoods.
         before: state before the sequence.
         steps: n + 1 numbers of steps of the filter since its start, before and after the readings.
-        log_likelihoods: n + 1 log-likelihoods, likewise.
+        log_likelihoods: n + 1 log-likelihoods, before and after the readings.
     """
 
     readings: Sequence[Reading]

@@ -1,4 +1,4 @@
-"""Crash-safe assimilation of a stream: a kill at any moment neither loses nor repeats a line.
+"""Crash-safe assimilation of a stream: a crash at any moment neither loses nor repeats a line.
 
 The state is saved at regular intervals, with the number of lines processed and the length of the output. On
 resumption the output is truncated to that length and later lines are processed again, with bitwise equal

@@ -17,7 +17,7 @@ from ahnn.files import claimed, whole_folder
 
 log = logging.getLogger("ahnn")
 SIGNALLED = 128
-"""Exit codes above this belong to signals."""
+"""Exit codes above this mean termination by a signal."""
 REPORT = "draw "
 """Beginning of the line that a process with several draws logs at the end of each draw."""
 SCORE = "score.json"

@@ -40,7 +40,7 @@ DECISIVE = ("max_epochs", "gradient_clip_val", "gradient_clip_algorithm", "accum
 CHOOSING = ("callbacks.best.monitor", "callbacks.rollout.count", "callbacks.rollout.every")
 """Settings that select the best weights."""
 SMOKE = "budget=smoke only checks the installation; the default budget trains the model"
-"""Finding below the table of such a run."""
+"""Finding below the table of a run with budget=smoke."""
 
 
 def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] | None = None) -> Prepared:

@@ -27,7 +27,7 @@ NODES = ("system", "data", "evaluation", "plugins", "measurement")
 """Parts of a configuration used by an evaluation."""
 KEYS = ("label", "threads")
 SINCE = {"bias_sd": None, "bias_memory": None}
-"""Keys of `measurement` missing in runs of version 0.2."""
+"""Keys of `measurement` that runs of version 0.2 lack."""
 DATA = (*SIMULATION, "split", *SENSOR)
 """Keys of `data` that define trajectories and sensor, not the training; the cache is the current user's."""
 

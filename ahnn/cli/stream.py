@@ -48,7 +48,7 @@ log = logging.getLogger("ahnn")
 BIAS = re.compile(r"^(?=sensors\.[^.=]+\.bias_(sd|memory)=)")
 """Keys of a sensor that options of the group measurement do not set."""
 FILTER, OF_MEASUREMENTS = "plugins=ukf", "plugins=ukf_parameter_error"
-"""Default filters of a run without a plugin; the second if least observable parameters were saved."""
+"""Default filters of a run without a plugin; the second if it saved its least observable parameters."""
 
 
 def read_stream(arguments: list[str], usage: str) -> Stream:
@@ -119,7 +119,7 @@ def with_filter(request: Request, run: Run) -> Request:
 
 
 def _key(text: str) -> str:
-    """Return the top level of a key, or sensors for a group placed there."""
+    """Return the top level of a key, or the target of a group that `@` relocates."""
     key = text.partition("=")[0].lstrip("+~")
     return (key.partition("@")[2] or key).partition(".")[0]
 

@@ -32,7 +32,7 @@ SIMULATED = (
     "seed",
     "beside",
 )
-"""Filter keys for evaluations only, and for simulated measurements in fits of process noise."""
+"""Filter keys that only evaluations and fits of process noise to simulated measurements use."""
 Unread = Iterator[tuple[str, str]]
 """Keys, with the reason why they are not read."""
 

@@ -24,7 +24,7 @@ SIGMAS = (1, 2, 3)
 NORMAL = tuple(math.erf(k / math.sqrt(2)) for k in SIGMAS)
 """Coverage of the bands for normal errors."""
 ROWS = 20_000
-"""Approximate number of tested errors over all trajectories: neighbouring errors are redundant."""
+"""Approximate number of errors tested over all trajectories, since neighbouring errors are redundant."""
 
 
 class Band(NamedTuple):
@@ -99,7 +99,7 @@ def banded(case: Case, uncertainty: Uncertainty, prediction: Tensor) -> Band:
 
     test = direction_test(tested())
     deviations, alone = (torch.cat(some).sqrt() for some in zip(*parts, strict=True))
-    alone = alone / uncertainty.inflation**0.5  # both include the inflation; `alone` omits the offset
+    alone = alone / uncertainty.inflation**0.5  # without inflation; `alone` also omits the offset
     bound = norms(alone.where(there, torch.nan), case.space.divisor)
     real = norms(off, case.space.divisor)
     later, band = off[:, 1:].abs(), deviations[:, 1:]
@@ -126,7 +126,7 @@ def percent(shares: tuple[float, ...]) -> str:
 
 
 def norms(values: Tensor, divisor: float | Tensor) -> tuple[float, float]:
-    """Return the rms norm over trajectories and times of the positions and velocities in (B, T, D)."""
+    """Return the rms norms of positions and velocities over trajectories and times, from (B, T, D)."""
     position, momentum = values.chunk(2, dim=-1)
     rms = (float(block.square().sum(-1).nanmean().sqrt()) for block in (position, momentum / divisor))
     return next(rms), next(rms)

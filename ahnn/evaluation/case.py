@@ -31,7 +31,7 @@ known, the state that best fits them.
 
 @dataclass(frozen=True)
 class Case:
-    """A trained model on the unseen trajectories of its system; all tensors float64 on the CPU.
+    """A trained model and the unseen trajectories of its system; all tensors are float64 on the CPU.
 
     Attributes:
         label: name of the model in tables.

@@ -19,7 +19,7 @@ from ahnn.rollouts import clock_of, stepped
 PIECES = 8
 """Minimum number of trajectory segments whose trends are compared."""
 SURE = 6.0
-"""Standard errors beyond which a trend is significant."""
+"""Number of standard errors beyond which a trend is significant."""
 NOTABLE = 0.02
 """Minimum reported gain or loss of a trajectory, as a fraction of the energy above its minimum."""
 COMMON = 0.5
@@ -129,7 +129,7 @@ def slope(values: Tensor, times: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def time_test(case: Case) -> TimeTest | None:
-    """Test the test trajectories for explicit time dependence; None if inconclusive.
+    """Check the test trajectories for explicit time dependence; None if inconclusive.
 
     One-step residuals minus their best-fitting polynomial of the state are compared with their mean over
     trajectories at each time. If trajectories are synchronous, state and time are indistinguishable.

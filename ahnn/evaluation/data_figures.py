@@ -38,7 +38,7 @@ def draw(found: Examined, folder: Path) -> None:
     """Write a figure of each file into a folder.
 
     Raises:
-        UserError: the folder contains other files of these names.
+        UserError: the folder contains other files with these names.
     """
     files = [content.tracks[0].file for content in found.contents]
     names = [Path(file).name for file in files]

@@ -188,7 +188,7 @@ def derivatives(
 
 
 def pad_to(moves: Tensor, width: int) -> Tensor:
-    """Pad displacements to a number of columns with zeros."""
+    """Pad displacements with zeros to a number of columns."""
     return torch.nn.functional.pad(moves, (0, width - moves.shape[1]))
 
 

@@ -31,7 +31,7 @@ HALF = 0.5
 DRAWS, MIDDLE = 200, 0.95
 """Number of draws for the coverage of calibrated bands, and the central fraction reported."""
 PARTS = (0.2, 0.4, 1.0)
-"""Parts of the forecast after which it is also tested separately."""
+"""Fractions of the forecast after which it is also tested separately."""
 
 
 class Forecast(NamedTuple):
@@ -42,7 +42,7 @@ class Forecast(NamedTuple):
         width: rms of these standard deviations, relative to the noise; if close to 1, little but the noise
             was tested.
         parameters: mean fraction of the variance of forecast states due to the parameters.
-        states: fractions for the components of true states; None if these are unknown.
+        states: the same fractions for components of true states; None if these are unknown.
         right: range of the coverage of calibrated bands in the central 95 % of draws.
         lost: number of trajectories whose first half no start fits; all other values exclude them.
         trajectories: number of trajectories tried.

@@ -1,4 +1,4 @@
-"""Test for friction in measurements that a model lacks."""
+"""Test whether measurements show friction that a model lacks."""
 
 from __future__ import annotations
 

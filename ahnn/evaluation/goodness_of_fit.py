@@ -20,9 +20,9 @@ from ahnn.shooting.path_sensitivities import Steps, steps_between
 from ahnn.shooting.robust import ROBUST, Robust, RobustName, loss_of
 
 NORMAL95 = 1.959963984540054
-"""Standard deviations of the central 95 % of a normal distribution."""
+"""Half-width of the central 95 % of a normal distribution, in standard deviations."""
 OUTLYING = 6.0
-"""Standard deviations beyond which a value is an outlier, if training used a robust loss."""
+"""Number of standard deviations beyond which a value is an outlier, if training used a robust loss."""
 
 
 class Explained(NamedTuple):

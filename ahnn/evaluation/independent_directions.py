@@ -113,7 +113,7 @@ def ratio_draws(matrix: Tensor) -> Tensor:
 
 
 def together(tests: Sequence[DirectionTest]) -> DirectionTest:
-    """Return one test of several independent training runs."""
+    """Combine the tests of several independent training runs into one."""
     count = sum(test.directions for test in tests)
     squares = sum(test.directions * test.scatter**2 for test in tests)
     return DirectionTest(count, (squares / count) ** 0.5)

@@ -14,7 +14,7 @@ from ahnn.numbers import in_percent
 from ahnn.shooting.robust import RobustName
 
 SURE = 4.0
-"""Standard errors beyond which a finding is significant."""
+"""Number of standard errors beyond which a finding is significant."""
 EXPLAINED = 0.05
 """Fraction of the residual variance explained by the state above which the dynamics are wrong; doubled if
 successive residuals are uncorrelated, for example a quarter of a period apart.
@@ -22,7 +22,7 @@ successive residuals are uncorrelated, for example a quarter of a period apart.
 COLOURED, BIASED = 0.15, 0.2
 """Minimum reported correlation of successive residuals, and constant offset in standard deviations."""
 OFF = 1.4
-"""Minimum reported factor between data.noise and the actual noise: bands are wrong by the same factor."""
+"""Minimum reported factor between data.noise and the actual noise; bands are wrong by the same factor."""
 FEW = 1e-3
 """Minimum reported fraction of outliers; normal noise has 6e-5."""
 

@@ -17,7 +17,7 @@ from ahnn.data.noise_floor import NORMAL
 FOLDS, RIDGE = 4, 1e-6
 """Number of cross-validation groups of trajectories; ridge of the regression, relative to mean squares."""
 FAR = 4.0
-"""Standard deviations beyond which a fraction of 6e-5 of normal values lies."""
+"""Number of standard deviations beyond which a fraction of 6e-5 of normal values lies."""
 
 
 class ResidualTests(NamedTuple):

@@ -156,7 +156,7 @@ def _explanations(results: Results) -> Iterator[str]:
 
 
 def _details(row: Row, results: Results) -> str:
-    """Format the scores of a row without a column in the table."""
+    """Format those scores of a row that have no column in the table."""
     space, names = results.space, results.space.components
     over = "/m" if space.mechanical else ""
     labels = [*names[: space.dof], *(name + over for name in names[space.dof :])]

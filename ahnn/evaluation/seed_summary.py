@@ -76,7 +76,7 @@ def scores(
 
 
 def is_of(row: Row, estimator: str | None, start: str, *, floor: bool) -> bool:
-    """Return whether a row has the model's, or a floor's, scores over full trajectories from this start."""
+    """Return whether a row is of the model, or a floor, for an estimator and start over full trajectories."""
     who = row.who
     side = who.floor if floor else who.process == MODEL and not who.floor
     return bool(side) and (who.estimator, who.start, who.span) == (estimator, start, "whole")

@@ -37,7 +37,7 @@ ERRORS = "viridis"
 """Colour map of errors along a path."""
 
 LOST = 1e30
-"""Absolute values from which predictions are treated as lost and excluded from axis limits."""
+"""Absolute value from which on a prediction is treated as lost and excluded from axis limits."""
 NAMES = ("position", "velocity")
 PARTED = 5.0
 """Steps longer than this multiple of the median one are not bridged by a line."""

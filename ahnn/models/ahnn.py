@@ -28,7 +28,7 @@ class AHNN(AbstractModel):
         integrator: `name` and options of the one-step method.
         window: number W of recursive prediction steps in the loss.
         loss: options of `LossOptions`.
-        angular: which coordinates are angles, for inputs=angles.
+        angular: whether each coordinate is an angle, for inputs=angles.
         forces: additional forces, name -> options.
         controls: number m of controls on which forces may depend.
     """

@@ -31,7 +31,7 @@ from ahnn.types import Flow, TimeStep, Window
 STAGED = ("val/loss", "val/lost")
 """Metrics logged by validations on measurements."""
 LOOKS = 50
-"""Number of steps between checks of the loss, which synchronise the device. A non-finite loss persists."""
+"""Number of steps between checks of the loss, which synchronise the device; non-finite losses persist."""
 
 
 class Optimisation(NamedTuple):
@@ -87,7 +87,7 @@ class AbstractModel(LightningModule, ABC):
         self._about |= about
 
     def step_by(self, recorded: Stepper) -> None:
-        """Use recorded steps instead of gradient steps."""
+        """Use recorded gradients instead of autograd in the steps of a first-order optimiser."""
         self._recorded = recorded
 
     @property

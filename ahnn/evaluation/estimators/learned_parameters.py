@@ -18,8 +18,7 @@ from ahnn.measurements import Instrument, Segment
 from ahnn.uncertainty.directions import ARCS, Chosen, Watched
 
 ENOUGH = 0.01
-"""Maximum contribution of omitted directions to the NEES per state component, if the filter's data are known.
-"""
+"""Maximum NEES contribution of omitted directions per state component, if the filter's data are known."""
 
 
 def simulated_filter(case: Case, setting: Setting) -> Watched:

@@ -292,6 +292,6 @@ class EstimatorEvaluation:
 
 
 def _interval(case: Case) -> float:
-    """Return the step, which simulated trajectories have in common."""
+    """Return the time step, which all simulated trajectories share."""
     assert isinstance(case.dt, float), "simulated trajectories have one step"
     return case.dt
