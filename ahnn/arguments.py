@@ -6,7 +6,7 @@ The signature is the schema: names, types, literals and limits are written once,
     class Loader:
         def __init__(self, batch_size: Count, emphasis: Annotated[float, Within(0, 4)]) -> None: ...
 
-Python reads `batch_size: expected int >= 1; received 0`, a user of YAML `data.batch_size: ...`.
+The message is `batch_size: expected int >= 1; received 0` in Python, and `data.batch_size: ...` for YAML.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class Interval(NamedTuple):
 
 
 class Printable(NamedTuple):
-    """Restriction of a text to printable characters: a terminal would obey control characters."""
+    """Restriction of a text to printable characters, since terminals interpret control characters."""
 
     most: int = 200
 
@@ -222,7 +222,7 @@ def fits(value: Any, hint: Any) -> bool:
     if origin in (Union, UnionType):
         return any(fits(value, option) for option in inner)
     if hint in PLAIN:
-        wide = hint is float and isinstance(value, int) and abs(value) >= 2**63  # excludes tensors
+        wide = hint is float and isinstance(value, int) and abs(value) >= 2**63  # too large for torch
         return isinstance(value, PLAIN[hint]) and (hint is bool or not isinstance(value, bool)) and not wide
     if origin in (list, tuple) or hint in (list, tuple):
         if not isinstance(value, list | tuple) or not inner:

@@ -52,7 +52,7 @@ USAGE = (
 
 
 def assimilate(arguments: list[str]) -> None:
-    """Assimilate the stream of a command line; raises errors of `cli.stream` and `jobs.assimilating`."""
+    """Assimilate the requested stream; raises the same errors as `cli.stream` and `jobs.assimilating`."""
     with importing():
         from ahnn.cli.sharded_stream import assimilate_sharded
         from ahnn.cli.stream import read_stream

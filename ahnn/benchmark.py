@@ -23,7 +23,7 @@ USAGE = "usage: python -m ahnn.benchmark NAME... | all [draws=10] [jobs=2] [mode
 
 
 def benchmark(arguments: list[str]) -> None:
-    """Train and score the models named on the command line; raises the errors of `cli.benchmarking`."""
+    """Train and score the models of the tasks named; raises the same errors as `cli.benchmarking`."""
     with importing():
         from ahnn.cli import benchmarking
 

@@ -19,7 +19,7 @@ from ahnn.cli.importing import importing
 
 
 def calibrate(arguments: list[str]) -> None:
-    """Train on the requested draws, and test the runs; raises the errors of `cli.calibrating`."""
+    """Train on the requested draws, and test the runs; raises the same errors as `cli.calibrating`."""
     with importing():
         from ahnn.cli import calibrating
 

@@ -62,7 +62,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 
 
 def as_stored(state: dict[str, Tensor], path: Path) -> dict[str, Tensor]:
-    """Return the weights as stored by `replace_weights` and loaded by a run: rounded, in their own dtype."""
+    """Return weights in their own dtype, rounded to the dtype in which `replace_weights` stores them."""
     own = read_checkpoint(path)["state_dict"]
     return {key: value.to(own[f"dynamics.{key}"]).to(value) for key, value in state.items()}
 
@@ -173,7 +173,7 @@ def checksum(tensors: dict[str, Tensor], about: str) -> str:
 
 
 def read_safetensors(path: Path, who: str) -> Weights:
-    """Return tensors and metadata ({} for files without ours) after verification of the checksum.
+    """Return tensors and the metadata of ahnn, {} if absent, after verification of the checksum.
 
     Raises:
         UserError: the file is missing or damaged; the message begins with `who`.
@@ -204,7 +204,7 @@ def require_same(who: str, expected: dict[str, Any], received: dict[str, Any], r
         who: owner of the expected values.
         expected: values of the owner.
         received: values that should be the same.
-        remedy: what the user can do, the last line of the message.
+        remedy: last line of the message, which tells the user what to do.
 
     Raises:
         UserError: the values differ; the message lists every differing key.

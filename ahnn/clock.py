@@ -57,7 +57,7 @@ class Clock(NamedTuple):
         return Clock(*(part[:, :-1].flatten(0, 1) for part in self))
 
     def along(self, lengths: Tensor, ends: Tensor) -> Clock:
-        """Return the clock at the start of N integrator steps, (..., N, k), from samples' (..., T, k).
+        """Return the clock at the start of N integrator steps, (..., N, k), from one of samples, (..., T, k).
 
         Args:
             lengths: (N,) step lengths.
@@ -112,7 +112,7 @@ def split(z: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 
 
 def on_clock(predicted: Tensor, known: Tensor, count: int) -> Tensor:
-    """Return increments, (..., 2 (n + k)), with exact clock increments: controls jump between samples."""
+    """Return increments, (..., 2 (n + k)), with known clock increments, since controls jump at samples."""
     if count <= 1:
         return predicted
     q, _, p, _ = split(predicted, count)

@@ -47,7 +47,7 @@ class CompiledFlow(NamedTuple):
     """Flow of time-independent dynamics as a C function, for loops in C.
 
     Its type is `long (const void *about, long count, const double *x, double dt, double *out)`: it writes the
-    states (count, D) after a step dt from x to `out` and returns 0, with the same bits as the flow in Python.
+    states (count, D) after a step dt from x to `out`, bit-identical to the flow in Python, and returns 0.
 
     Attributes:
         function: address of the function.
@@ -68,10 +68,10 @@ def compiled_library(
     vectors: bool = False,
     defined: Sequence[str] = (),
 ) -> ctypes.CDLL | None:
-    """Return the library of a source, or None where there is no C compiler.
+    """Return the library of a source, or None without a working C compiler.
 
     The compiler is `$CC`, or else `cc`. The library is kept in the user's cache, in a folder writable only by
-    its owner, and every bit is verified. A compiler that fails or hangs causes one warning.
+    its owner, and its checksum is verified. A compiler that fails or hangs causes one warning.
 
     Args:
         source: path of the C file.
@@ -134,7 +134,7 @@ def _built(source: Path, command: list[str]) -> ctypes.CDLL:
 
 
 def _compile(line: list[str]) -> None:
-    """Run a compiler; on time-out kill it with its child processes. Raises the errors of `_built`."""
+    """Run a compiler; on time-out kill it with its child processes. Raises the same errors as `_built`."""
     quiet: Any = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
     with subprocess.Popen(line, text=True, errors="replace", start_new_session=True, **quiet) as process:
         try:
@@ -164,7 +164,7 @@ def _is_intact(path: Path, key: bytes) -> bool:
 
 
 def _own(folder: Path) -> bool:
-    """Create the library folder; return whether only this user can write to it: its files are executed."""
+    """Create the library folder, whose files are executed; return whether only this user can write to it."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         about = folder.stat()

@@ -68,7 +68,7 @@ def read_plain(path: Path) -> dict[str, Any]:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Return the mapping of plain values in a JSON file; raises the errors of `read_plain`."""
+    """Return the mapping of plain values in a JSON file; raises the same errors as `read_plain`."""
     return _keys(path, "the results of an evaluation", json.loads, RESULTS)
 
 

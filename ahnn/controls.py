@@ -78,7 +78,7 @@ class ControlTable(NamedTuple):
     def over(self, times: Tensor) -> ControlTable:
         """Return the controls at times (K,) merged with the table's own times between them.
 
-        With these times no step crosses a jump.
+        Then no step between these times crosses a jump.
         """
         low, high = torch.searchsorted(self.times, times[[0, -1]]).tolist()
         whole = merged(times, self.times[low:high])

@@ -50,7 +50,7 @@ def each(work: Callable[[P], T], parts: Iterable[P], device: torch.device) -> li
 def slices(count: int, size: int, device: torch.device | None = None) -> list[slice]:
     """Return slices of `size` rows each, the last possibly shorter; one empty slice for zero rows.
 
-    Other devices get a single slice: a GPU schedules its own blocks.
+    Other devices use a single slice, since a GPU schedules its own blocks.
     """
     if device is not None and device.type != "cpu":
         return [slice(0, count)]

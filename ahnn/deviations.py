@@ -14,7 +14,7 @@ from ahnn.types import Space
 ROUNDING = 1e-10
 """Tolerance for asymmetry and negative eigenvalues of a covariance scaled to unit diagonal."""
 SECOND = {True: "velocities", False: "momenta"}
-"""Name of the second half of a state in input, by whether p = m dq/dt."""
+"""Name of the second half of a state in user input, by whether p = m dq/dt."""
 
 
 def require_squares(deviations: Tensor, who: str) -> Tensor:

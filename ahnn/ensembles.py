@@ -28,7 +28,7 @@ from ahnn.uncertainty import mixture_moments
 FAILED = 2.0
 """Multiple of the smallest chi-square of the members above which a member counts as failed."""
 STATES = 1000
-"""Number of training states at which the process noise is averaged."""
+"""Approximate number of training states over which the process noise is averaged."""
 
 log = logging.getLogger("ahnn")
 
@@ -44,7 +44,7 @@ def require_same_states(runs: Sequence[Run]) -> None:
 
 
 def failed_members(runs: Sequence[Run]) -> list[Run]:
-    """Return the members whose chi-square, where it is known, exceeds the smallest `FAILED` times."""
+    """Return the members whose chi-square, if known, exceeds `FAILED` times the smallest."""
     found = [(run, float(run.uncertainty.about["chi_square"])) for run in runs if run.uncertainty is not None]
     least = min((one for _, one in found), default=0.0)
     return [run for run, one in found if one > FAILED * least]
@@ -56,7 +56,7 @@ class Ensemble:
 
     If all members have a covariance of their parameters, each is a normal distribution about its forecast,
     otherwise a point. The covariance of the mixture is that of the forecasts, plus the mean of the members'
-    own.
+    covariances.
 
     Attributes:
         runs: the members.
@@ -121,7 +121,7 @@ class Ensemble:
 
         Args:
             start: (B, 2n) or (2n,) states at the first of the times, in the units of the space.
-            times: (T,) increasing, in its unit of time.
+            times: (T,) increasing, in the unit of time of the space.
             options: further arguments of `Run.predict`.
 
         Raises:
@@ -146,14 +146,15 @@ class Ensemble:
     def process_noise(self, dt: float | None = None, states: Numbers | None = None) -> Tensor:
         """Return the covariance (2n, 2n) of the members' increments over one step, averaged over states.
 
-        It is the Q of a filter along `flow` whose error is that of the members, drawn anew at each step.
+        It is the Q of a filter with `flow` as process model and errors like those of the members, independent
+        in each step.
 
         Args:
             dt: time step; by default one sampling interval.
             states: (B, 2n); by default representative training states.
 
         Raises:
-            UserError: invalid states, or none known.
+            UserError: invalid states, or none given and no training states known.
         """
         first = self.runs[0]
         if states is None and first.domain is None:

@@ -21,7 +21,7 @@ USAGE = "usage: python -m ahnn.evaluate run=DIR | pretrained=NAME [name=NAME] [p
 
 
 def evaluate(arguments: list[str]) -> None:
-    """Evaluate the run named on the command line; raises the errors of `cli.evaluation`."""
+    """Evaluate the run named on the command line; raises the same errors as `cli.evaluation`."""
     with importing():
         from ahnn.cli.evaluation import read_evaluation
         from ahnn.jobs import evaluating

@@ -15,7 +15,7 @@ USAGE = "usage: python -m ahnn.export run=DIR | pretrained=NAME output=FOLDER [c
 
 
 def export(arguments: list[str]) -> None:
-    """Export the model named on the command line; raises the errors of `jobs.exporting`."""
+    """Export the model named on the command line; raises the same errors as `jobs.exporting`."""
     with importing():
         from ahnn.cli.pairs import read_pairs
         from ahnn.jobs import exporting

@@ -1,6 +1,6 @@
 """Registries of named objects, extensible by installed packages through entry points.
 
-Files of weights store a registered name, never the path of a class: a foreign file can select only among
+Weights files store a registered name, never the path of a class: a foreign file can select only among
 installed, declared objects, and cannot cause any other import.
 """
 

@@ -45,7 +45,7 @@ def write_cached(path: Path, content: bytes) -> None:
 
 
 def write_state(path: Path, content: bytes) -> None:
-    """Write bytes atomically to a file identified as ours by its content, in a folder of the user."""
+    """Write bytes atomically to a file that its content identifies as ours, in a folder of the user."""
     with atomic_file(path, digest_of(content)[:MARK]) as file:
         file.write(content)
 
@@ -61,7 +61,7 @@ def atomic_file(path: Path, mark: str = "") -> Iterator[BinaryIO]:
 
     Args:
         path: path of the file.
-        mark: first digits of the content's digest, by which the manifest identifies a temporary file; None
+        mark: first digits of the content's digest, by which the manifest identifies a temporary file; ""
             for a cache folder, where all temporary files are ours.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -102,7 +102,7 @@ def _remove_unfinished(folder: Path, known: dict[str, set[str]] | None) -> None:
             continue
         if known is not None and found[2][:MARK] not in {each[:MARK] for each in known.get(found[1], ())}:
             continue
-        with contextlib.suppress(OSError), path.open("r+b") as file:  # file gone, or its writer alive
+        with contextlib.suppress(OSError), path.open("r+b") as file:  # it is gone, or its writer is alive
             lock(file, wait=False)
             path.unlink()  # not possible on Windows, where the file stays
 
@@ -117,7 +117,7 @@ def claimed(folder: Path, name: str = ".claim") -> Iterator[None]:
 
     Raises:
         Occupied: another process has locked the folder.
-        UserError: a file of the user has the name of the lock file.
+        UserError: a user's file has the name of the lock file.
     """
     place = folder / name
     if place.is_symlink() or (place.exists() and (not place.is_file() or place.stat().st_size)):

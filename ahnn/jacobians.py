@@ -40,7 +40,7 @@ def step_jacobians(increment: Callable[[Tensor, Tensor], Tensor], states: Tensor
 
 
 def moved(step: Callable[[Tensor], Tensor], x: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the states (B, D) after one step and the Jacobians (B, D, D), from states with variations."""
+    """Return states (B, D) after one step and Jacobians (B, D, D); `step` propagates D variations of each."""
     beside = torch.eye(x.shape[1]).to(x).expand(len(x), -1, -1)
     after = step(torch.cat((x.unsqueeze(1), beside), dim=1))
     return after[:, 0], after[:, 1:].mT
@@ -51,7 +51,7 @@ def differenced(
 ) -> tuple[Tensor, Tensor]:
     """Return the states (B, D) after one step of a flow and its Jacobians (B, D, D), by central differences.
 
-    Uses one call of the flow on B (1 + 2 D) states, for flows whose tracing by autograd costs more.
+    The flow is called once on B (1 + 2 D) states, for flows that are slower to differentiate by autograd.
 
     Args:
         flow: flow that is accurate to rounding.

@@ -1,4 +1,4 @@
-"""Labels and units of state components in output; velocities are named only where p = m dq/dt."""
+"""Labels and units of state components in output; velocities are named only if p = m dq/dt."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ KILOGRAMS = {"m": "kg m/s", "rad": "kg m²/s"}
 def quantity(space: Space, name: str) -> tuple[str, str]:
     """Return the label and unit of `position`, `velocity` or `energy`.
 
-    Momenta that are not mass times velocity are shown instead of velocities. Where only some coordinates are
+    Momenta that are not mass times velocity are shown instead of velocities. If only some coordinates are
     angles, both units are named.
     """
     if name != "energy" and len(kinds := [*dict.fromkeys(space.angular)]) > 1:

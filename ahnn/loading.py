@@ -22,7 +22,7 @@ from ahnn.uncertainty.posterior import FILE
 
 log = logging.getLogger(__name__)
 MEMBER = re.compile(r"seed_(\d+)")
-"""Folder of one of several seeds, inside that of the run."""
+"""Folder name of one of several seeds, inside the folder of the run."""
 
 
 @checked
@@ -67,7 +67,7 @@ def member_folders(folder: Path) -> list[Path]:
 
 
 def require_single(folder: Path, ckpt: str) -> None:
-    """Raise UserError for the folder of several runs, unless a path names weights."""
+    """Raise UserError for the folder of several runs, unless `ckpt` is the path of weights."""
     if ckpt in ("best", "last") and (folders := member_folders(folder)):
         message = (
             f"run {folder}: expected the folder of one run; received that of {len(folders)} members. Name "
@@ -81,7 +81,7 @@ def weights_path(folder: Path, ckpt: str = "best") -> Path:
 
     Args:
         folder: folder of the run.
-        ckpt: `best` (the last weights where no selection took place), `last`, or a path.
+        ckpt: `best` (the last weights if none were selected), `last`, or a path.
     """
     if ckpt not in ("best", "last"):
         return Path(ckpt)
@@ -93,7 +93,7 @@ def weights_path(folder: Path, ckpt: str = "best") -> Path:
 
 
 def require_last(folder: Path, about: dict[str, Any]) -> None:
-    """Log that the last weights serve as the best, where no validation selected any.
+    """Log that the last weights serve as the best, because no validation selected any.
 
     Raises:
         UserError: weights were selected but are missing.
@@ -109,10 +109,10 @@ def require_last(folder: Path, about: dict[str, Any]) -> None:
 
 
 def made(weights: Weights, folder: Path) -> Run:
-    """Build the run of given weights.
+    """Build a run from weights.
 
     Raises:
-        UserError: the weights have no metadata, or belong to other dynamics.
+        UserError: the weights have no metadata, belong to other dynamics, or are not finite.
     """
     about, space = read_about(f"run {folder}: weights", weights.about)
     try:

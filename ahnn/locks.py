@@ -1,4 +1,4 @@
-"""Locks on open files, which the operating system releases when their holder ends, however it ends."""
+"""Locks on open files, which the operating system releases when the process ends for any reason."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ except ImportError:  # Windows
     fcntl = None
 
 FAR = 2**31 - 2
-"""The byte that Windows locks: beyond our files, since it lets no other process read a locked byte."""
+"""Offset of the byte locked on Windows: beyond our files, since others cannot read a locked byte."""
 
 
 def lock(file: IO[Any], *, wait: bool = True) -> None:

@@ -23,17 +23,17 @@ HEAD = (
 UNRECORDED = {".hydra", "console.log", ".turn", ".claim"}
 """Files that a sweep creates in the folder of a job before the job begins."""
 FLAGS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
-"""Where they exist: follow no link, and on Windows leave line feeds as they are."""
+"""Flags, where they exist, to follow no link and, on Windows, to leave line feeds unchanged."""
 LINE = re.compile(r"([0-9a-f]{64})  (.+)")
 
 
 def digest_of(content: bytes) -> str:
-    """Return the SHA-256 of a content, in hexadecimal digits."""
+    """Return the SHA-256 of bytes, in hexadecimal digits."""
     return hashlib.sha256(content).hexdigest()
 
 
 def recorded(folder: Path) -> dict[str, set[str]]:
-    """Return the recorded digests of each file name of a folder; empty without a manifest.
+    """Return the recorded digests of each file name in a folder; empty without a manifest.
 
     Raises:
         UserError: the file of that name is not a manifest.
@@ -50,7 +50,7 @@ def recorded(folder: Path) -> dict[str, set[str]]:
 
 
 def record(path: Path, digest: str) -> None:
-    """Add a line for a file that is about to be written; its folder exists.
+    """Add a line for a file that is about to be written to an existing folder.
 
     Raises:
         UserError: a file with the manifest's name is not a manifest.
@@ -141,7 +141,7 @@ def require_plain(folder: Path) -> None:
 
 
 def own_folder(folder: Path) -> Path:
-    """Create and return a folder whose name is ours, such as `figures`; raises errors of `require_plain`."""
+    """Create and return a folder of ours, such as `figures`; raises the same errors as `require_plain`."""
     require_plain(folder)
     folder.mkdir(parents=True, exist_ok=True)
     return folder

@@ -17,10 +17,10 @@ class Scores(NamedTuple):
 
     Attributes:
         position, velocity: mean over trajectories of the root mean square over time of the vector norm;
-            the definition that the paper's numbers fit best.
+            the definition that best fits the paper's numbers.
         position_pooled, velocity_pooled: root mean square over trajectories, times and components.
         energy: root mean square over trajectories and times of H(prediction) - H(truth), with the true H;
-            None where H is unknown.
+            None if H is unknown.
         components: (D,) root mean square of each component, velocities in place of momenta.
     """
 
@@ -76,7 +76,7 @@ def score(
     Args:
         prediction: (B, T, D).
         truth: (B, T, D), NaN without truth.
-        energies: true Hamiltonian of prediction and of truth, each (B, T); None where H is unknown.
+        energies: true Hamiltonian of prediction and of truth, each (B, T); None if H is unknown.
         inertia: divisor of momenta that gives velocities, a number or (n,).
     """
     error = errors(prediction, truth)

@@ -73,7 +73,7 @@ def _holds_parts(value: Any) -> bool:
 
 
 def as_count(value: Any, who: str, least: int = 0) -> int:
-    """Convert an integer of Python, numpy or torch to int; raises UserError for anything else."""
+    """Convert an integer of Python, numpy or torch to int; raises UserError for others, or below `least`."""
     try:
         if (count := operator.index(value)) >= least and not isinstance(value, bool):
             return count
@@ -84,7 +84,7 @@ def as_count(value: Any, who: str, least: int = 0) -> int:
 
 
 def described(value: object) -> str:
-    """Return the type of a value for a message, with a dtype that is not float, and any shape."""
+    """Return the type of a value for a message, with its dtype unless float, and its shape if it has one."""
     kind, dtype = type(value).__name__, str(getattr(value, "dtype", "float"))
     shape = None if getattr(value, "is_nested", False) else getattr(value, "shape", None)
     return kind + ("" if "float" in dtype else f" of {dtype}") + ("" if shape is None else f" {tuple(shape)}")

@@ -19,7 +19,7 @@ USAGE = "usage: python -m ahnn.orbit FILE.yaml [folder=DIR] [out=DIR] [KEY=VALUE
 
 
 def orbit(arguments: list[str]) -> None:
-    """Determine the orbit described on the command line; raises the errors of `jobs.determining`."""
+    """Determine the orbit described on the command line; raises the same errors as `jobs.determining`."""
     with importing():
         from ahnn.cli.orbit_file import read_orbit
         from ahnn.jobs import determining

@@ -140,7 +140,7 @@ def citations(run: Run | str | Path) -> Citations:
 
 
 def cited(used: list[str]) -> Citations:
-    """Return the papers of some methods; methods of other packages have none."""
+    """Return the papers for some methods; methods of other packages have none."""
     found: dict[str, list[str]] = {}
     for method in dict.fromkeys(used):
         for key in PAPERS.get(method, ()):

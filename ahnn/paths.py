@@ -22,4 +22,4 @@ def conf_dir() -> Path:
 
 def cache_dir() -> Path:
     """Return the folder of generated data and compiled code: `$AHNN_CACHE`, by default `~/.cache/ahnn`."""
-    return Path(os.path.expanduser(os.environ.get("AHNN_CACHE") or "~/.cache/ahnn"))  # may lack a home
+    return Path(os.path.expanduser(os.environ.get("AHNN_CACHE") or "~/.cache/ahnn"))  # no home is needed

@@ -34,7 +34,7 @@ USAGE = (
 
 
 def plan(arguments: list[str]) -> None:
-    """Plan as requested on the command line; raises the errors of `jobs.planning`."""
+    """Plan as requested on the command line; raises the same errors as `jobs.planning`."""
     with importing():
         from ahnn.cli.pairs import read_pairs
         from ahnn.jobs import planning

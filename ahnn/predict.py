@@ -30,7 +30,7 @@ USAGE = (
 
 
 def predict(arguments: list[str]) -> None:
-    """Predict as requested on the command line; raises the errors of `jobs.predicting`."""
+    """Predict as requested on the command line; raises the same errors as `jobs.predicting`."""
     with importing():
         from ahnn.cli.pairs import read_pairs
         from ahnn.jobs import predicting

@@ -1,4 +1,4 @@
-"""Progress bars on standard error that disappear when done; log lines where it is not a terminal."""
+"""Progress bars on standard error that disappear when done; log lines if it is not a terminal."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _note: ContextVar[Callable[[str], None] | None] = ContextVar("note", default=Non
 def progress_bar(*columns: TextColumn) -> Progress:
     """Return a transient progress bar with description, fraction done, time left and further columns.
 
-    It is silent where standard error is not a terminal.
+    It is silent if standard error is not a terminal.
     """
     console = Console(stderr=True)
     return Progress(
@@ -52,7 +52,7 @@ def track(items: Iterable[T], description: str, total: int) -> Iterator[T]:
 
 @contextmanager
 def stage(description: str) -> Iterator[None]:
-    """Show a stage of unknown length: its notes and the time, in a log a line every half minute."""
+    """Show the notes and elapsed time of a stage of unknown length; in a log, one line every half minute."""
     console = Console(stderr=True)
     columns = TextColumn("{task.description}"), BarColumn(20), TimeElapsedColumn()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:

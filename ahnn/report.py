@@ -18,7 +18,7 @@ USAGE = "usage: python -m ahnn.report DIR... | run=DIR [output=FOLDER]"
 
 
 def report(arguments: list[str]) -> None:
-    """Write the report requested on the command line; raises the errors of `cli.reporting`."""
+    """Write the report requested on the command line; raises the same errors as `cli.reporting`."""
     with importing():
         from ahnn.cli import reporting
 

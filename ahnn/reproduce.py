@@ -24,7 +24,7 @@ USAGE = "usage: python -m ahnn.reproduce system=. budget=. [run=DIR] [GROUP=OPTI
 
 
 def reproduce(arguments: list[str]) -> None:
-    """Reproduce the table named on the command line; raises the errors of `cli.reproducing`."""
+    """Reproduce the table named on the command line; raises the same errors as `cli.reproducing`."""
     reproducing.reproduce(arguments, USAGE)
 
 

@@ -45,13 +45,13 @@ if TYPE_CHECKING:
 class Run:
     """Learned dynamics with the description of their state space.
 
-    Runs are copied and pickled as any object. Notebooks show the table of scores.
+    Runs are copied and pickled like any object. Notebooks show the table of scores.
 
     Attributes:
         dynamics: the flow, a float64 module without gradients: `run.dynamics(x, dt)`.
         space: names and units of the state components.
-        dt: sampling interval of the training data, or the step of the integrator between measurements where
-            that is shorter, in the unit of time.
+        dt: sampling interval of the training data, or the step of the integrator between measurements if that
+            is shorter, in the unit of time.
         about: description of the training data, plain values.
         folder: folder of the run, or of the shipped model.
         domain: representative training states; None for weights of an earlier version.
@@ -78,9 +78,9 @@ class Run:
         return f"<p><code>{html.escape(repr(self))}</code></p>{scores}"
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Run:
-        """Return the run on a device and with parameters of a type; this one is unchanged.
+        """Return the run on a device and with parameters of a dtype; this one is unchanged.
 
-        `flow`, `energy` and `rollout` compute in this type; `predict`, `band` and `novelty` always in
+        `flow`, `energy` and `rollout` compute in this dtype; `predict`, `band` and `novelty` always in
         float64, which the device must support.
         """
         return replace(
@@ -177,7 +177,7 @@ class Run:
     def novelty(self, x: Numbers) -> Tensor:
         """Return the distance of states x, shape (..., 2n), from the training states, shape (...).
 
-        Distances are of network inputs, scaled so that one training state in a hundred is beyond 1.
+        Distances are between network inputs, scaled so that one training state in a hundred is beyond 1.
 
         Raises:
             UserError: the weights contain no representative training states.
@@ -198,16 +198,16 @@ class Run:
         *,
         linear: bool = False,
     ) -> Prediction:
-        """Return predicted states at given times, with covariance and novelty where available.
+        """Return predicted states at given times, with covariance and novelty if available.
 
         Gradients of the states flow to the start and the parameters that require them; covariance and novelty
         are not differentiable.
 
         Args:
             start: (B, 2n) or (2n,) states at the first of the times, in the units of the space.
-            times: (T,) increasing, in its unit of time; internal steps are at most the training step.
+            times: (T,) increasing, in the space's unit of time; internal steps are at most the training step.
             description: text of the progress bar; None: no bar.
-            start_sd: standard deviations of the starts, 2n, or one for positions and one for velocities where
+            start_sd: standard deviations of the starts, 2n, or one for positions and one for velocities if
                 n > 1; by default starts are exact.
             start_covariance: alternative to `start_sd`, (2n, 2n) or (B, 2n, 2n).
             controls: values at the times, (T, m) or (B, T, m), each held until the next, for forces that
@@ -232,7 +232,7 @@ class Run:
         return found
 
     def plot(self, start: Numbers | None = None, times: Numbers | None = None, **options: Any) -> Figure:
-        """Plot one predicted trajectory, with its band and novelty where known, as a matplotlib figure.
+        """Plot one predicted trajectory, with its band and novelty if known, as a matplotlib figure.
 
         Args:
             start: (2n,) state at the first of the times; by default a training state.
@@ -240,7 +240,7 @@ class Run:
             options: further arguments of `predict`.
 
         Raises:
-            UserError: the errors of `predict`, several starts, or no start where training states are unknown.
+            UserError: as for `predict`, or several starts, or no start and no known training states.
         """
         from ahnn.prediction.figure import PLOTTED, prediction_figure
 
@@ -269,7 +269,7 @@ class Run:
     def constants(self) -> dict[str, tuple[float, float]]:
         """Learned physical constants, such as friction: value and standard deviation.
 
-        The deviation is NaN where the parameter covariance is unknown.
+        The deviation is NaN if the parameter covariance is unknown.
         """
         found = learned_constants(self._exact, self.knowledge().spread)
         return {one.name: (one.value, one.deviation) for one in found}
@@ -293,6 +293,6 @@ class Run:
 
     @property
     def _exact(self) -> Dynamics:
-        """The dynamics in float64, also after a cast by the user."""
+        """The dynamics in float64, even after a cast by the user."""
         narrow = any(p.dtype != torch.float64 for p in self.dynamics.parameters())
         return self.dynamics.frozen() if narrow else self.dynamics

@@ -23,17 +23,17 @@ def save(
 ) -> Run:
     """Save trained dynamics as weights in float64, without scores, and return them as a run.
 
-    `ahnn.load` and the commands that predict, assimilate and export take the folder.
+    `ahnn.load` and the commands that predict, assimilate and export accept the folder.
 
     Args:
         dynamics: dynamics built by `ahnn.Hamiltonian` or similar.
         space: names, units and inertia of the state components.
-        dt: sampling interval of the training data, the longest step of predictions.
+        dt: sampling interval of the training data, which is the longest step in predictions.
         folder: new folder.
         data: training trajectories, for `run.novelty`; without them novelty is unknown.
 
     Raises:
-        UserError: a folder with content, weights that are not finite, or a space or data with different
+        UserError: a folder that is not empty, weights that are not finite, or a space or data with different
             states.
     """
     if not isinstance(dynamics, Dynamics) or not hasattr(dynamics, "spec"):

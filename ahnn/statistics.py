@@ -15,17 +15,17 @@ CLOSE = 1e-9
 
 
 class Statistics(NamedTuple):
-    """Statistics of the training split; tensors are (D,) float64, in physical units, unless said otherwise.
+    """Statistics of the training split; tensors are (D,) float64, in physical units, unless stated otherwise.
 
     Attributes:
         minimum, maximum: bounds of each state component.
         increment: root mean square of each component of x_{k+1} - x_k.
         rate: root mean square of each component of (x_{k+1} - x_k) / dt.
         radius: (2,) extremes of the distance |q| from the origin.
-        positions, velocities, forces: (M, n) a sample of positions midway between samples, with dq/dt and
-            dp/dt.
+        positions, velocities, forces: (M, n) positions midway between a subset of the samples, with dq/dt
+            and dp/dt.
         clock: (M, 1 + m) time and controls at these positions.
-        dt: sampling interval; the median step of a sample of trajectories where steps differ.
+        dt: sampling interval; if steps differ, the median step of a subset of the trajectories.
     """
 
     minimum: Tensor
@@ -80,7 +80,7 @@ class Extent(NamedTuple):
         minimum, maximum: (D,) extremes of each state component.
         radius: (2,) extremes of the distance from the origin.
         steps: number of steps between neighbouring samples.
-        increments, rates: (D,) sums of squares over them.
+        increments, rates: (D,) sums of squared increments and rates over these steps.
     """
 
     minimum: Tensor
@@ -133,7 +133,7 @@ def increments_of(trajectories: Trajectories) -> Tensor:
 
 
 def sampling_interval(trajectories: Trajectories) -> TimeStep:
-    """Return the common step between neighbouring samples, or all steps, (B, T - 1), where they differ."""
+    """Return the common step between neighbouring samples, or all steps, (B, T - 1), if they differ."""
     times, count = trajectories.times, len(trajectories.times)
     if times.stride(0) == 0:  # all trajectories share the times
         times = times[:1]

@@ -82,7 +82,7 @@ def read(who: str, schema: type[T], content: Any) -> T:
     """Read the fields of a schema from plain values; other fields are ignored.
 
     Raises:
-        UserError: not a mapping, or a field that is missing, of the wrong type or outside its limits.
+        UserError: no mapping, or a field that is missing, of the wrong type or outside its limits.
     """
     if not isinstance(content, Mapping):
         message = f"{who}: expected a mapping of keys to values; received {str(content)[:40]!r}"

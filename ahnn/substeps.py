@@ -17,7 +17,7 @@ def substeps(gap: TimeStep, longest: float) -> int:
     """Return the number of equal steps, at least one, none longer than `longest`.
 
     Args:
-        gap: duration, or one for each member, of which the longest decides; NaN is ignored.
+        gap: duration, or one for each member; the longest determines the number, and NaN is ignored.
         longest: maximum step length; infinity gives one step.
     """
     length = float(gap.abs().nan_to_num().max()) if isinstance(gap, Tensor) else abs(gap)

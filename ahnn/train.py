@@ -1,6 +1,6 @@
 """Train a model and evaluate it: `python -m ahnn.train model=ahnn window=5 system=molniya`.
 
-`cli.training` defines the task, `cli.prepare` converts its configuration to one value, `jobs` fits and
+`cli.training` defines the task, `cli.prepare` builds its parts from the configuration, and `jobs` fits and
 evaluates.
 """
 

@@ -90,8 +90,8 @@ class Space(NamedTuple):
         mechanical: whether p = m dq/dt holds; momenta of other Hamiltonians, with a mass matrix or in a
             rotating frame, are not labelled velocities (`ahnn.labels`).
         controls: names of external inputs on which the motion depends.
-        angles: names of coordinates that are angles in rad, of period 2 pi; all of them where positions are
-            in rad.
+        angles: names of coordinates that are angles in rad, with period 2 pi; if positions are in rad, all
+            coordinates are angles.
     """
 
     name: str
@@ -116,12 +116,12 @@ class Space(NamedTuple):
 
     @property
     def factor(self) -> float | Tensor:
-        """The factor m of p = m dq/dt: a number, or (n,) float64 where coordinates differ."""
+        """The factor m of p = m dq/dt: a number, or (n,) float64 if coordinates differ."""
         return as_factor(self.inertia)
 
     @property
     def divisor(self) -> float | Tensor:
-        """Divisor of momenta in output: m where this gives velocities, else 1."""
+        """Divisor of momenta in output: m if this gives velocities, else 1."""
         return self.factor if self.mechanical else 1.0
 
     @property
@@ -132,7 +132,7 @@ class Space(NamedTuple):
 
     @property
     def mass(self) -> float:
-        """The one mass of a body in space.
+        """The mass, common to all coordinates.
 
         Raises:
             UserError: coordinates with different masses.
@@ -145,7 +145,7 @@ class Space(NamedTuple):
 
 
 def as_factor(inertia: float | Sequence[float]) -> float | Tensor:
-    """Return the factor m of p = m dq/dt: a number, or (n,) float64 where coordinates differ."""
+    """Return the factor m of p = m dq/dt: a number, or (n,) float64 if coordinates differ."""
     if isinstance(inertia, Sequence):
         return inertia[0] if len({*inertia}) == 1 else torch.tensor(inertia, dtype=torch.float64)
     return inertia
@@ -179,7 +179,7 @@ class Trajectories(NamedTuple):
         return self.states.isfinite().all(-1) & self.times.isfinite()
 
     def part(self, rows: slice) -> Trajectories:
-        """Return selected trajectories; times (T,) are those of all."""
+        """Return selected trajectories; times (T,) that all share are kept."""
         controls = None if self.controls is None else self.controls[rows]
         times = self.times[rows] if self.times.ndim > 1 else self.times
         return self._replace(states=self.states[rows], times=times, controls=controls)
@@ -196,7 +196,7 @@ class Trajectories(NamedTuple):
 
 
 def rows_of_part(samples: int, size: int) -> int:
-    """Return how many trajectories of given samples and components fit into `PART`, at least one."""
+    """Return how many trajectories of given samples and components each fit into `PART`, at least one."""
     return max(1, PART // (8 * samples * size))
 
 

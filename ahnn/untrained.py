@@ -4,7 +4,8 @@
     optimizer = torch.optim.AdamW(model.parameters())
     loss = (model(x, dt) - x_next).square().mean()
 
-Weights are new, of torch's default dtype; `double`, `to`, `state_dict` and `torch.compile` work as usual.
+Weights are newly drawn, in torch's default dtype; `double`, `to`, `state_dict` and `torch.compile` work as
+usual.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ def Hamiltonian(
     data: Trajectories | None = None,
     **options: Any,
 ) -> HamiltonianDynamics:
-    """Build Hamilton's equations with a learned H(q, p) and a one-step integrator.
+    """Build Hamilton's equations from a learned H(q, p), with a one-step integrator.
 
     `model(x, dt)` propagates states x = [q, p], (B, 2n), over dt, a number or (B,), of either sign;
     `model.rollout(start, steps, dt)` repeats it; `model.energy(x)` is H; `model.field(x)` is dx/dt.
@@ -64,7 +65,7 @@ def Hamiltonian(
         activation: gelu, tanh, silu, sine, or fourier for a Gaussian process.
         structure: generic H(q, p), separable T(p) + V(q), mechanical p^2 / 2m + V(q), central_body,
             mass_matrix or pairs.
-        inertia: m of `mechanical`, one or one for each coordinate.
+        inertia: m of `mechanical`, common or per coordinate.
         inputs: cartesian, isotropic, radial or angles.
         scaling: block, minmax or none.
         integrator: name of a method in `ahnn.integrators`; leapfrog and compositions need a separable H.
@@ -95,20 +96,20 @@ def Lagrangian(
     integrator: str = "rk4",
     data: Trajectories | None = None,
 ) -> LagrangianDynamics:
-    """Build Euler-Lagrange equations with a learned L(q, v), on states [q, p] with p = m dq/dt.
+    """Build Euler-Lagrange equations from a learned L(q, v), on states [q, p] with p = m dq/dt.
 
     Args:
         dof: degrees of freedom n.
         hidden: units of each hidden layer.
         depth: number of hidden layers.
         activation: gelu, tanh, silu or sine.
-        inertia: m, one or one for each coordinate.
+        inertia: m, common or per coordinate.
         scaling: minmax, block or none.
         integrator: name of a method in `ahnn.integrators`.
         data: trajectories that set scales and units.
 
     Raises:
-        UserError: the errors of `Hamiltonian`.
+        UserError: as for `Hamiltonian`.
     """
     options = {"inertia": inertia, "scaling": scaling, "network": _network(hidden, depth, activation)}
     made = make_dynamics("lagrangian", dof=dof, **options, integrator={"name": integrator})
@@ -126,7 +127,7 @@ def NeuralODE(
     integrator: str = "rk4",
     data: Trajectories | None = None,
 ) -> NeuralDynamics:
-    """Build dx/dt = network(x) and a one-step integrator: no structure of mechanics.
+    """Build dx/dt = network(x) with a one-step integrator, without mechanical structure.
 
     Args:
         dof: degrees of freedom n.
@@ -138,7 +139,7 @@ def NeuralODE(
         data: trajectories that set scales and units.
 
     Raises:
-        UserError: the errors of `Hamiltonian`.
+        UserError: as for `Hamiltonian`.
     """
     options = {"scaling": scaling, "network": _network(hidden, depth, activation)}
     made = make_dynamics("node", dof=dof, **options, integrator={"name": integrator})
@@ -157,7 +158,7 @@ def FlowMap(
     data: Trajectories | None = None,
     **options: Any,
 ) -> StepMap:
-    """Build a map from one sample to the next, without field and with one step length.
+    """Build a map from one sample to the next, without a field and with a fixed step length.
 
     Args:
         dof: degrees of freedom n.
@@ -170,7 +171,7 @@ def FlowMap(
         options: scaling and layers; form and shears for a sympnet; scaling and residual for map.
 
     Raises:
-        UserError: the errors of `Hamiltonian`, or neither a step nor data.
+        UserError: as for `Hamiltonian`, or neither a step nor data.
     """
     if dt is None and data is None:
         message = "FlowMap: expected the step of the map as dt, or data to take it from; received neither"
@@ -185,7 +186,7 @@ def FlowMap(
 
 
 def _require(call: Callable[..., Any], options: dict[str, Any], further: Sequence[str]) -> None:
-    """Raise UserError for an option that a call does not take, neither by itself nor further ones."""
+    """Raise UserError for an option that is not among the further options of a call."""
     known = [name for name in signature(call).parameters if name != "options"] + [*further]
     if unknown := [name for name in options if name not in further]:
         message = f"{call.__name__}: unknown option {unknown[0]!r}{nearest(unknown[0], known)}"

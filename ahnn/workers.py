@@ -20,9 +20,9 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 STARTS = 4
-"""Number of times that a task begins at most, if its worker is killed each time."""
+"""Maximum number of times that a task starts, if its worker is killed each time."""
 QUIET = {"RAY_DEDUP_LOGS": "0", "RAY_USAGE_STATS_ENABLED": "0", "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0"}
-"""Variables of Ray: every line of a worker is shown, nothing is reported to its developers."""
+"""Environment variables of Ray: show every line of a worker, report nothing to Ray's developers."""
 
 
 class Workers(NamedTuple):
@@ -51,9 +51,9 @@ class Workers(NamedTuple):
             library("ray", "ray", "ray", "workers")
 
     def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-        """Return the results of a function of a module for each of the items, in their order.
+        """Return the results of a module-level function for each of the items, in their order.
 
-        A task whose worker is killed begins again in another, up to `STARTS` times in all.
+        A task whose worker is killed starts again in another worker, at most `STARTS` times in all.
 
         Raises:
             UserError: Ray is missing; exceptions of a task are raised again.
@@ -112,7 +112,7 @@ def _on_ray(function: Callable[[Item], Result], items: Sequence[Item], count: in
 
 
 def _at(folder: str, function: Callable[[Item], Result], item: Item) -> Result:
-    """Return the result of a task in the folder of the command, which all machines see."""
+    """Return the result of a task, run in the folder of the command, which all machines share."""
     os.chdir(folder)
     return function(item)
 
@@ -147,13 +147,13 @@ def _killed() -> TrainingError:
 
 
 def _end_with_parent() -> None:
-    """Leave signals of the terminal to the parent, and end as soon as it ends."""
+    """Ignore Ctrl-C, which the parent handles, and end as soon as the parent ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with(multiprocessing.parent_process())
 
 
 def end_with(process: Any) -> None:
-    """End this process by SIGKILL as soon as another one of `multiprocessing` has ended."""
+    """End this process by SIGKILL as soon as another process of `multiprocessing` has ended."""
 
     def watch() -> None:
         process.join()

@@ -21,7 +21,7 @@ MOST = 10_000
 
 
 class AssimilationRecord(NamedTuple):
-    """Selected rows of an output, the last one at each time.
+    """Selected rows of an output; of rows at the same time, the last.
 
     Attributes:
         time: (T,) increasing times.

@@ -29,15 +29,15 @@ class Catalogue:
     """Filters of many objects, each equivalent to an `Assimilation`.
 
     Readings arrive in tables. The k-th readings of all objects in a table form one batch step in which each
-    object has its own time: estimates equal the results of individual filters, to rounding. An object whose
-    filter fails is lost: its last valid belief is kept, its later readings are ignored, and other objects
+    object has its own time: estimates equal those of individual filters up to rounding. An object whose
+    filter fails is lost: its last valid belief is kept, its later readings are ignored, and the other objects
     continue.
 
     Args:
         process: a Gaussian filter and its process model, without controls.
         sensors: sensors by name.
-        start: beliefs about the states of the objects, or one initial belief for every object at its first
-            measurement.
+        start: beliefs about the states of the objects, or one initial belief for objects that are added at
+            their first measurement.
         objects: names of the objects; None if unknown in advance.
         times: times of the beliefs, common or per object.
         window: largest delay of a late reading, which is inserted at its time while later ones are replayed.
@@ -166,7 +166,7 @@ class Catalogue:
 
         Args:
             path: path of the file.
-            notes: additional texts saved with the beliefs.
+            notes: additional strings saved with the beliefs.
         """
         write_catalogue(self.objects, Path(path), self.identity, notes or {})
 
@@ -238,7 +238,7 @@ def _checked_starts(start: Belief, names: list[str] | None, times: Numbers) -> A
 
 
 def _spelled(start: Belief, names: list[str], times: Array) -> dict[str, str]:
-    """Return hashes of starts, by the keys of the configuration."""
+    """Return hashes of the starts by configuration key."""
     parts = {
         "start": "\n".join(names).encode() + start.mean.numpy().tobytes(),
         "start_sd": start.covariance.numpy().tobytes(),

@@ -1,4 +1,4 @@
-"""Saving of a catalogue's beliefs and reading windows: restored bit-identically, without unpickling."""
+"""File of a catalogue's beliefs and reading windows, restored bit-identically and without unpickling."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ahnn.files import write_state
 FORMAT = "ahnn catalogue 1"
 """Version number, increased when the meaning of a stored tensor changes."""
 BELIEFS = ("status", "failed_step", "rejections", "repairs", "log_likelihood")
-"""Columns of a row besides mean and factor."""
+"""Fields of a state besides mean and factor."""
 OTHERS = "Repeat the original command, or remove the state and its output to start over"
 
 
@@ -59,7 +59,7 @@ def read_catalogue(
     Args:
         objects: container to fill, once the file has been read completely.
         path: path of the file.
-        identity: identity hash of the filters.
+        identity: hash that identifies the filters.
         names: names of the objects; None if unknown in advance.
         width: number W of columns.
 

@@ -17,7 +17,7 @@ TAKEN, REOPENED, REJECTED, PREDICTED, REPEATED, LATE, AHEAD, BAD, GONE = range(l
 
 
 class Limits(NamedTuple):
-    """Limits on the delay of readings, the number kept for replay, and their time ahead."""
+    """Limits on the delay of readings, on the number kept for replay, and on their time ahead."""
 
     window: float
     lines: int
@@ -61,7 +61,7 @@ class CatalogueRounds:
             rows: (B,) rows of the readings.
             numbers: (B,) distinct indices of their objects.
             readings: table that contains the rows.
-            found: estimates to be filled.
+            found: estimates to fill.
         """
         fates = self._refused(readings.times[rows], numbers)
         candidates = self._candidates(rows, numbers, readings, fates)
@@ -74,7 +74,7 @@ class CatalogueRounds:
         found.means[place], found.covariances[place] = belief.mean, belief.covariance
 
     def _refused(self, times: Array, numbers: Places) -> Places:
-        """Return the fates of readings rejected only because of their times, -1 for all other readings."""
+        """Return the fates of readings that are too late, too far ahead or of lost objects, else -1."""
         now, fates = self.objects.times[numbers], np.full(len(times), -1)
         fates[times < np.maximum(now - self.limits.window, self.objects.since[numbers])] = LATE
         fates[times > now + self.limits.gap] = AHEAD
@@ -82,7 +82,7 @@ class CatalogueRounds:
         return fates
 
     def _candidates(self, rows: Places, numbers: Places, readings: ReadingTable, fates: Places) -> Candidates:
-        """Return the readings to be filtered; duplicates receive their fate."""
+        """Return the readings to be filtered; record duplicates in `fates`."""
         objects, times = self.objects, readings.times[rows]
         slots, since, later = objects.newest[numbers], objects.times[numbers], dict[int, list[KeptRow]]()
         for k in np.flatnonzero((fates < 0) & (times <= since)).tolist():

@@ -32,10 +32,10 @@ class CatalogueRows(Rows):
     ) -> None:
         super().__init__(components, sensors, kind, said, scales=scales, clock=clock)
         self.names.insert(1, OBJECT)
-        self.sensors = [*sensors, ""]  # -1 marks no sensor
+        self.sensors = [*sensors, ""]  # index -1: no sensor
 
     def columns(self, lines: list[int], readings: ReadingTable, found: CatalogueEstimates) -> dict[str, Any]:
-        """Return the output of accepted readings by column name.
+        """Return the output of processed readings by column name.
 
         Args:
             lines: (K,) line numbers.
@@ -58,20 +58,20 @@ class CatalogueRows(Rows):
         return first | dict(zip(self.names[len(first) :], numbers.T, strict=True))
 
     def batch(self, lines: list[int], readings: ReadingTable, found: CatalogueEstimates) -> str | bytes:
-        """Return the output of accepted readings as a batch; arguments as in `columns`."""
+        """Return the output of processed readings as a batch; arguments as in `columns`."""
         if self.kind == "parquet":
             return packed_table(self.columns(lines, readings, found))
         return self.text(self.columns(lines, readings, found))
 
     def _epochs(self, times: Array) -> dict[str, list[str]]:
-        """Return the column of epochs, where time zero has one."""
+        """Return the column of epochs; {} if time zero has no epoch."""
         if self.clock is None:
             return {}
         known = {time: self.clock.epoch(time) for time in set(times.tolist())}
         return {DATED[2]: [known[time] for time in times.tolist()]}
 
     def _numbers(self, found: CatalogueEstimates, chosen: Any) -> Array:
-        """Return means, lower triangles of covariances, innovations and their deviations, (K, C)."""
+        """Return means, lower triangles of covariances, innovations and their standard deviations, (K, C)."""
         rows, columns = zip(*self.lower, strict=True)
         covariances = found.covariances / self.scales.outer(self.scales)
         triangles = covariances.numpy()[chosen][:, list(rows), list(columns)]

@@ -1,4 +1,4 @@
-"""Assimilation of a stream of many objects, in tables of lines."""
+"""Assimilation of a stream with many objects, in tables of lines."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ NAMED = 1000
 
 
 class CatalogueSession(StreamSession):
-    """Stream of many objects; arguments: those of `StreamSession`, the column of object names, and a shard.
+    """Session for many objects; arguments as in `StreamSession`, the column of object names, and a shard.
 
     The state is saved after each table, so that a restart forms the same tables and reproduces results
     bitwise.
@@ -60,10 +60,10 @@ class CatalogueSession(StreamSession):
         """Assimilate all lines of the stream.
 
         Args:
-            judged: whether a stream without any accepted line is an error; not for one of several workers.
+            judged: whether a stream without any accepted line is an error; False for one of several workers.
 
         Raises:
-            UserError: a header with unknown names.
+            UserError: the header contains unknown names.
             TrainingError: no line was accepted.
         """
         try:
@@ -136,7 +136,7 @@ class CatalogueSession(StreamSession):
         self._say_others(parsed, found)
 
     def _say_others(self, parsed: ParsedLines, found: CatalogueEstimates) -> None:
-        """Report readings ignored because of their times, and unknown objects."""
+        """Report readings with the outcomes in `WORDS`, and unknown objects."""
         for fate, words in WORDS.items():
             chosen = np.flatnonzero(found.fates == FATES.index(fate)).tolist()
             _say(fate, {parsed.lines[k]: f"object {parsed.table.objects[k]} {words}" for k in chosen})

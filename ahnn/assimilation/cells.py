@@ -18,10 +18,10 @@ def is_missing(cell: Any) -> bool:
 
 
 def number(cell: Any, name: str) -> float:
-    """Parse the number in a cell, NaN where it is missing.
+    """Parse the number in a cell, NaN if it is missing.
 
     Raises:
-        BadLine: something else, or infinity.
+        BadLine: the cell contains anything else, or infinity.
     """
     if is_missing(cell):
         return math.nan

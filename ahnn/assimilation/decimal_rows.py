@@ -1,4 +1,4 @@
-"""Formatting of number rows as text: shortest exact float64 representation, empty cells for NaN."""
+"""Formatting of rows of numbers as text: shortest exact float64 representation, empty cells for NaN."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Fixed-lag smoothing: the belief about an earlier time, given all later readings.
 
-The newest estimate is carried back through the steps of the filter by the Rauch-Tung-Striebel smoother: the
-result is the smoother of all readings so far, at one of their times.
+The Rauch-Tung-Striebel smoother propagates the newest estimate back through the steps of the filter. The
+result is the belief given all readings so far, at the time of one of them.
 """
 
 from __future__ import annotations
@@ -26,9 +26,8 @@ class LaggedEstimate(NamedTuple):
 def smoothed_at(window: ReadingWindow, time: float) -> LaggedEstimate | None:
     """Return the smoothed belief after the last reading that is not later than a time.
 
-    Returns None if the time is earlier than all kept readings, or than a reading that reopened the gate: an
-        enlarged
-    covariance cannot be smoothed backwards.
+    Returns None if the time precedes the window, or a reading that reopened the gate: an enlarged covariance
+    cannot be smoothed backwards.
     """
     first = bisect_right(window.entries, time, key=TIME)
     later = window.entries[first:]
@@ -42,7 +41,7 @@ def smoothed_at(window: ReadingWindow, time: float) -> LaggedEstimate | None:
 
 
 def numbers_of(found: LaggedEstimate | None, scales: Tensor) -> list[float]:
-    """Return the time, the first components of the mean divided by scales, and their deviations; or NaN."""
+    """Return the time, and mean and standard deviations divided by scales; NaN without an estimate."""
     size = len(scales)
     if found is None:
         return [float("nan")] * (1 + 2 * size)

@@ -47,7 +47,7 @@ class Journal(io.RawIOBase):
         self.saved(0)
 
     def resume(self, place: int) -> None:
-        """Resume at an offset of the stream, first with the later content of the journal.
+        """Resume at an offset of the stream, first with the content of the journal after it.
 
         Raises:
             UserError: the journal is missing or damaged.

@@ -16,7 +16,10 @@ TIME = attrgetter("time")
 
 
 class KeptReading(NamedTuple):
-    """A processed reading, its innovation, the belief after it, a reopened gate, and the backward kernel."""
+    """Processed reading, the state, innovation and controls after it, and the laws of the steps before it.
+
+    `opened` marks a reading that reopened the gate.
+    """
 
     time: float
     reading: Reading

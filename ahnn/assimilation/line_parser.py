@@ -1,4 +1,4 @@
-"""Parsing of text lines to instrument readings."""
+"""Parsing of text lines into instrument readings."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ahnn.errors import UserError
 log = logging.getLogger("ahnn")
 
 TIME, SENSOR, STATION, SD, ELEVATION = ("time", "t"), "sensor", "station", "sd_", "elevation"
-"""Column names of time and sensor, or station; prefix of standard deviations; end of names of elevations."""
+"""Column names of time, sensor and station; prefix of standard deviations; suffix of elevations."""
 RESERVED = frozenset(',"\n\r')
 """Characters not allowed in an object name, which must be usable as a table cell."""
 
@@ -88,7 +88,7 @@ class Layout:
             self._require_deviations({*self.names})
 
     def reading(self, text: str) -> Reading:
-        """Parse a line to a reading.
+        """Parse a line into a reading.
 
         Raises:
             BadLine: the line is not a valid measurement.
@@ -110,7 +110,7 @@ class Layout:
         return name
 
     def reading_of(self, row: dict[str, Any]) -> Reading:
-        """Parse a row to a reading; raises BadLine."""
+        """Parse a row into a reading; raises BadLine."""
         name, time, controls = row.get(SENSOR) or self.only, self._time(row), self._controls(row)
         if name is None and all(is_missing(row[key]) for key in row.keys() & self.measured):
             return Reading(time, controls=controls)
@@ -124,7 +124,7 @@ class Layout:
         return Reading(time, values, name, self._deviations(row, sensor, values), controls)
 
     def _require_elevations(self, sensor: StreamSensor, values: tuple[float, ...]) -> None:
-        """Raise BadLine for an elevation beyond a right angle, UserError for the first one of the stream."""
+        """Raise BadLine for an elevation above a right angle, UserError before the stream had a valid one."""
         for name, value in zip(sensor.columns, values, strict=True):
             if not name.endswith(ELEVATION):
                 continue
@@ -138,7 +138,7 @@ class Layout:
 
     @property
     def asks(self) -> bool:
-        """Whether lines may contain no measurement and request predictions, as JSON objects may."""
+        """Whether lines may request predictions only: JSON objects, or a header without measured values."""
         return not {*(self.names or ())} & self.measured
 
     def _time(self, row: dict[str, Any]) -> float:
@@ -219,7 +219,7 @@ class Layout:
     def _deviations(
         self, row: dict[str, Any], sensor: StreamSensor, values: tuple[float, ...]
     ) -> tuple[float, ...] | None:
-        """Parse the standard deviations of a row; None if the sensor's apply."""
+        """Parse the standard deviations of a row; None if those of the sensor apply."""
         given = [self._number(row, SD + name) for name in sensor.columns]
         if sensor.deviations is not None and all(map(math.isnan, given)):
             return None
@@ -227,7 +227,7 @@ class Layout:
         chosen = [other if math.isnan(sd) else sd for sd, other in zip(given, own, strict=True)]
         for k, (name, value) in enumerate(zip(sensor.columns, values, strict=True)):
             if math.isnan(value) and math.isnan(chosen[k]):
-                chosen[k] = 1.0  # for missing values
+                chosen[k] = 1.0  # unused, since the value is missing
             if not chosen[k] > 0.0:
                 message = f"{SD}{name}: expected a number > 0; received {row.get(SD + name)!r}"
                 raise BadLine(message)

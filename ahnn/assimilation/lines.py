@@ -15,7 +15,7 @@ LONGEST = 1 << 20
 """Maximum number of bytes of a line; longer lines are invalid and truncated."""
 CR, LF = b"\r", b"\n"
 SIZE = 1 << 16
-"""Number of bytes that are read at once, if there are so many."""
+"""Maximum number of bytes that are read at once."""
 
 
 class Lines:
@@ -102,7 +102,7 @@ class Lines:
             self.journal.saved(place)
 
     def close(self, *, discard: bool = False) -> None:
-        """Close the stream, except standard input; a journal stays on disk if processing has begun."""
+        """Close the stream, except standard input; `discard` also removes a journal from disk."""
         if discard and self.journal is not None:
             self.journal.path.unlink(missing_ok=True)
         if self.file is not sys.stdin.buffer:

@@ -40,7 +40,7 @@ class Told(NamedTuple):
     Attributes:
         state: states after the readings; invalid for failed members.
         statuses: (B,) int64, 0 for valid members, `FAULT` for an invalid measurement.
-        reopened: (B,) bool, the belief was widened until the gate accepted the reading.
+        reopened: (B,) bool, whether the belief was widened so that the gate accepted the reading.
         rejected: (B,) bool, whether the gate rejected the reading.
         residuals: (B, W) measurement minus prediction, NaN where missing.
         deviations: (B, W) standard deviations of the residuals.
@@ -59,7 +59,7 @@ class Told(NamedTuple):
 
     @classmethod
     def room(cls, like: FilterState, count: int, width: int) -> Told:
-        """Allocate results of B readings without measurements."""
+        """Allocate results of B readings, initially without measurements."""
         wide = torch.full((2, count, width), torch.nan, dtype=torch.float64)
         whole = torch.zeros(2, count, dtype=torch.int64)
         gate = torch.zeros(2, count, dtype=torch.bool)
@@ -73,7 +73,7 @@ class MemberUpdates:
     Args:
         models: process and sensors.
         columns: names of the W values of all sensors.
-        spreads: (N, d, d) factors of the covariances with which objects began, or (1, d, d) for all.
+        spreads: (N, d, d) factors of the objects' initial covariances, or (1, d, d) for a common one.
     """
 
     def __init__(self, models: StreamModels, columns: tuple[str, ...], spreads: Tensor) -> None:
@@ -85,7 +85,7 @@ class MemberUpdates:
     def filtered(
         self, state: FilterState, numbers: Places, slots: Places, since: Array, given: MeasuredRows
     ) -> Told:
-        """Return the updates of rows of a state with readings of objects (B,), each at its time (B,)."""
+        """Update beliefs from rows `slots` at times `since` (B,) with one reading per object, at its time."""
         told = Told.room(state, len(slots), self.width)
         rows, begun = torch.from_numpy(slots), torch.from_numpy(since)
         own = torch.from_numpy(np.minimum(numbers, len(self.spreads) - 1))

@@ -1,4 +1,4 @@
-"""Merging of the outputs of workers: rows in the order of their lines, as one worker would write them."""
+"""Merging of workers' outputs: rows in the order of the input lines, as a single worker would write them."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from ahnn.manifest import record
 
 
 class MergedRows:
-    """Rows of several outputs of different objects, CSV or JSON lines.
+    """Rows of several outputs, each for different objects, as CSV or JSON lines.
 
     Args:
         rows: formatter of the rows.
-        paths: outputs of the workers; missing ones have no rows.
+        paths: outputs of the workers; a missing file counts as empty.
     """
 
     def __init__(self, rows: Rows, paths: Sequence[Path]) -> None:
@@ -43,7 +43,7 @@ class MergedRows:
             expected: number of rows.
 
         Raises:
-            UserError: a different number of rows, or a foreign file.
+            UserError: the number of rows differs, or a file with the manifest's name is not a manifest.
         """
         known, count = hashlib.sha256(self.head), 0
         for row in self:
@@ -61,7 +61,7 @@ class MergedRows:
             file.writelines(self)
 
     def objects(self) -> dict[str, int]:
-        """Return the objects in the order of their first rows, with their positions."""
+        """Return the objects in the order of their first rows, with their positions in this order."""
         order: dict[str, int] = {}
         for row in self:
             name = json.loads(row)["object"] if self.is_json else row.split(b",", 2)[1].decode()
@@ -69,5 +69,5 @@ class MergedRows:
         return order
 
     def _line(self, row: bytes) -> int:
-        """Return the number of the line of a row."""
+        """Return the input line number of a row."""
         return int(row[len(b'{"line": ') : row.index(b",")] if self.is_json else row[: row.index(b",")])

@@ -41,11 +41,11 @@ class ObjectShard(NamedTuple):
         return cls(number, workers)
 
     def holds(self, names: Iterable[str]) -> Mask:
-        """Return whether each object belongs to this worker, on any machine, (K,) bool."""
+        """Return whether each object belongs to this worker, (K,) bool, equal on all machines."""
         return np.array([_hash(name) % self.workers == self.number - 1 for name in names], dtype=bool)
 
     def starts(self, names: Sequence[str], belief: Belief, times: Tensor) -> tuple[list[str], Belief, Tensor]:
-        """Return the names, beliefs and times (N,) of its objects; raises UserError if there are none."""
+        """Return names, beliefs and times (N,) of the worker's objects; raises UserError if it has none."""
         own = torch.from_numpy(self.holds(names))
         if not own.any():
             received = f"none for worker {self.number} of {self.workers}"

@@ -44,7 +44,7 @@ class KeptRow(NamedTuple):
 
 
 class ObjectWindow(list[KeptRow]):
-    """Readings of one object in chronological order, preceded by the belief held before the first of them.
+    """Readings of one object in chronological order, preceded by the belief before the first of them.
 
     Without replay it contains only the readings at the newest time, which share one row.
     """
@@ -123,7 +123,7 @@ class FollowedObjects:
         return np.array([*again, *range(begin, self._used)], dtype=np.int64)
 
     def release(self, slots: Sequence[int]) -> None:
-        """Release rows."""
+        """Mark rows as free."""
         self._free += slots
 
     def write(self, slots: Places, state: FilterState) -> None:

@@ -40,15 +40,15 @@ class Assimilation:
         sensors: sensors by name; a reading without a name belongs to the only sensor.
         start: belief about the state, of one member.
         time: time of the belief.
-        window: readings late by up to this are inserted at their time, and later ones are replayed.
+        window: maximum delay of a late reading, which is inserted at its time while later ones are replayed.
         lines: maximum number of readings kept for replay.
-        gap: a reading further ahead is ignored; None: 10,000 steps of the flow.
+        gap: maximum time ahead of an accepted reading; None: 10,000 steps of the flow.
         controls: controls of the process model, known in advance; None: the readings contain them.
         lag: delay of additional estimates, smoothed with all later readings; None: no smoothing.
 
     Raises:
         UserError: a value beyond its limits, a start of several members, controls of a different model, or a
-            lag of a filter that is not Gaussian.
+            lag with a filter that is not Gaussian.
     """
 
     @checked
@@ -88,7 +88,7 @@ class Assimilation:
             self.window = ReadingWindow(state, float(time), self.controls.unknown)
             mean, covariance = start.mean[0].tolist(), start.covariance[0].tolist()
             self.begun = {"start": mean, "start_sd": covariance, "time": float(time)}
-            # so that the first line does not wait for this preparation
+            # so that the first line need not wait for the initialisation
             self.process.advanced(state, time, time + process.max_step, self.controls.trial)
 
     def update(self, reading: Reading) -> Estimate:
@@ -103,27 +103,27 @@ class Assimilation:
 
     @torch.inference_mode()
     def updates(self, readings: Sequence[Reading]) -> list[Estimate]:
-        """Process the first reading and later ones that need no decision, bit-identical to `update`.
+        """Process the first reading and those after it that need no decision, bit-identically to `update`.
 
         Returns:
             The estimates after the readings that were processed, at least one.
 
         Raises:
-            UserError, BadLine, Diverged: the first reading, as in `update`.
+            UserError, BadLine, Diverged: as in `update`, for the first reading.
         """
         first = self._named(readings[0])
         run = self._runs and self._runs.followed(self.window, (first, *readings[1:]))
         return self._of_run(run) if run else [self._of_one(first)]
 
     def _of_run(self, run: FollowedRun) -> list[Estimate]:
-        """Return the estimates after a sequence of readings, and keep its last ones."""
+        """Return the estimates after a sequence of readings, and keep its last readings in the window."""
         self.window = run.window(self.window, self.span, self.lines)
         parts = run.rows.means[:, : self.size], covariances(run.rows.chols)[:, : self.size, : self.size]
         rows = zip(run.readings, *(part.unbind() for part in parts), run.innovations, strict=True)
         return [Estimate("taken", reading.time, *told) for reading, *told in rows]
 
     def _of_one(self, reading: Reading) -> Estimate:
-        """Process one reading; raises the errors of `update`."""
+        """Process one reading; raises the same errors as `update`."""
         now = self.window.time
         if reading.time > now + self.gap:
             return self._estimate("ahead")
@@ -166,7 +166,7 @@ class Assimilation:
 
         Args:
             path: path of the file.
-            notes: additional texts saved with the state.
+            notes: additional strings saved with the state.
         """
         window = self.window
         readings = json.dumps([entry.reading for entry in window.entries])
@@ -203,7 +203,7 @@ class Assimilation:
         return self.models.identity((self.span, self.lines, self.gap, self.process.max_step, *lag))
 
     def _others(self, path: str | Path, notes: Mapping[str, str], time: float) -> str:
-        """Return the settings of a saved state that differ from ours, for messages; "" if none."""
+        """Return an error message for a saved state with different settings; "" if they are equal."""
         if notes["of"] != self.identity:
             return (
                 "state: expected a state saved with this model, process noise, gate, sensors and window; "
@@ -257,7 +257,7 @@ class Assimilation:
         return window._replace(entries=(*window.entries, entry))
 
     def _updated(self, before: EstimatorState, reading: Reading) -> tuple[EstimatorState, Innovation, bool]:
-        """Condition the state on a reading; return state, innovation, reopened; raises BadLine."""
+        """Condition the state on a reading; return it, the innovation and `opened`; raises BadLine."""
         own, model = reading.deviations, self.models.seen[reading.sensor]
         factor = self._factors[reading.sensor] if own is None else self.sensors[reading.sensor].factor(own)
         y = torch.tensor([reading.values], dtype=torch.float64)

@@ -30,7 +30,7 @@ from ahnn.locks import lock
 
 Format = Literal["csv", "json", "parquet"]
 Column = list[str] | NDArray[Any]
-"""The K texts or numbers of a column."""
+"""The K strings or numbers of a column."""
 TAIL = 1 << 14
 """Number of bytes at the end of an output whose hash is stored in the state."""
 
@@ -44,9 +44,9 @@ class Rows:
         kind: csv or json, or, for many objects, parquet.
         said: units and frame, written to a sidecar; None: no sidecar.
         scales: (D,) divisors of the written components; None: no division.
-        modes: number of modes of interacting models, whose probabilities are columns.
-        lag: whether to write columns of smoothed estimates.
-        clock: interpretation of times; with an epoch of time zero there is a column of epochs.
+        modes: number of modes of interacting models, whose probabilities are written.
+        lag: whether to write smoothed estimates.
+        clock: interpretation of times; if time zero has an epoch, epochs are written too.
     """
 
     def __init__(
@@ -88,11 +88,11 @@ class Rows:
         return ",".join(self.names) + "\n" if self.kind == "csv" else ""
 
     def rows(self, lines: Sequence[int], sensors: Sequence[str], estimates: Sequence[Estimate]) -> str:
-        """Return the rows of estimates after readings of sensors, with their lines."""
+        """Return the rows of estimates, given the line and the sensor of each reading."""
         return self.text(self._columns(lines, sensors, estimates))
 
     def text(self, table: Mapping[str, Column]) -> str:
-        """Return the rows of columns by name."""
+        """Return the rows of a table of named columns."""
         if self.kind != "csv":
             parts = [column if isinstance(column, list) else column.tolist() for column in table.values()]
             rows = (dict(zip(table, row, strict=True)) for row in zip(*parts, strict=True))
@@ -193,8 +193,7 @@ class Output:
         tail: hash of the last of those bytes.
 
     Raises:
-        UserError: a file that already exists for a new output, is written by another process, or does not
-            match the state.
+        UserError: the file of a new output exists, another process writes it, or it does not match the state.
     """
 
     def __init__(self, path: str, rows: Rows, line: int | None = None, size: int = 0, tail: str = "") -> None:
@@ -219,7 +218,7 @@ class Output:
         return digest(self._tail)
 
     def _cut_back(self, rows: Rows, line: int, tail: str) -> str:
-        """Truncate after `size`; return a description if that text or the end of the file is not ours."""
+        """Truncate the file to `size`; return a description of the file if its content is not ours."""
         length = self.file.seek(0, os.SEEK_END)
         if length < self.size:
             return f"{length} bytes"

@@ -1,4 +1,4 @@
-"""Parquet input in constant memory, and output as a folder of parts that can be truncated."""
+"""Parquet input in constant memory, and output as a folder whose last parts can be removed."""
 
 from __future__ import annotations
 
@@ -97,11 +97,11 @@ class ParquetParts:
 
     Args:
         path: path of the folder.
-        parts: number of parts recorded in a state, after which parts are removed; None for a new folder.
+        parts: number of parts recorded in a state, beyond which parts are removed; None for a new folder.
         tail: hash of the last part.
 
     Raises:
-        UserError: an existing folder for a new output, or a folder that does not match the state.
+        UserError: the folder does not match the state, or contains later parts of other origin.
     """
 
     def __init__(self, path: str, parts: int | None = None, tail: str = "") -> None:

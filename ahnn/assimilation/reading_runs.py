@@ -31,7 +31,7 @@ class FollowedRun(NamedTuple):
         rows: beliefs after the readings, with residuals, NIS and log-likelihoods.
         before: state before the sequence.
         steps: n + 1 numbers of steps of the filter since its start, before and after the readings.
-        log_likelihoods: n + 1 log-likelihoods, likewise.
+        log_likelihoods: n + 1 log-likelihoods, before and after the readings.
     """
 
     readings: Sequence[Reading]
@@ -85,7 +85,7 @@ class ReadingRuns:
         self.sensors, self.unfit = dict[str, SensorModel](), set[str]()
 
     def followed(self, window: ReadingWindow, readings: Sequence[Reading]) -> FollowedRun | None:
-        """Filter the first readings after a window; None where the first one needs a step of its own."""
+        """Filter the first readings after a window; None if the first must be processed individually."""
         state, process, name = window.state, self.models.process, readings[0].sensor
         count = self._count(window.time, readings) if self.estimator and name not in self.unfit else 0
         if not count or not isinstance(state, FilterState):

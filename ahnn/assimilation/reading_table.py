@@ -44,14 +44,14 @@ class ReadingTable(NamedTuple):
 
 
 class CatalogueEstimates(NamedTuple):
-    """Estimates of the object after each of K readings.
+    """Estimates of the measured object after each of K readings.
 
     Attributes:
         fates: (K,) indices in `FATES`.
-        times: (K,) times of the estimates; NaN for unknown objects, as all following fields.
+        times: (K,) times of the estimates; NaN for unknown objects, as are means and covariances.
         means: (K, D) state estimates.
         covariances: (K, D, D) covariances.
-        residuals: (K, W) measurement minus prediction, NaN where missing, as in the next three fields.
+        residuals: (K, W) measurement minus prediction, NaN where missing, as are deviations and NIS.
         deviations: (K, W) standard deviations of the residuals.
         nis: (K,) normalised innovation squared.
         measured: (K,) number of measured values.
@@ -95,12 +95,12 @@ class CatalogueEstimates(NamedTuple):
 
     @property
     def counted(self) -> NDArray[np.bool_]:
-        """(K,) mask of readings that changed an estimate or requested a prediction."""
+        """(K,) mask of processed readings, for which an output row is written."""
         return self.fates < COUNTED
 
 
 def rounds(numbers: Places) -> list[Places]:
-    """Split readings into rounds with each object at most once, preserving the order per object.
+    """Split readings into rounds that contain each object at most once, preserving the order per object.
 
     Args:
         numbers: (K,) object indices; readings with -1 are omitted.

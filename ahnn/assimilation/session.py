@@ -21,9 +21,9 @@ from ahnn.errors import TrainingError
 log = logging.getLogger("ahnn")
 
 TOGETHER = 512
-"""Most lines of a block, whose rows are written together."""
+"""Maximum number of lines in a block, whose rows are written together."""
 FAR = 100
-"""Steps of the model between an undated start and the first measurement that are worth a warning."""
+"""Number of model steps from an undated start to the first measurement beyond which a warning is logged."""
 
 Watcher = Callable[[int, Reading, Estimate, Counter[str]], None]
 """Callback for every measurement line: line number, reading, estimate, and counts so far."""
@@ -52,11 +52,11 @@ class MadeRows(NamedTuple):
 
 
 class Session(StreamSession):
-    """Session for one object; arguments as in `StreamSession`, preceded by an `Assimilation`.
+    """Session for one object; arguments as in `StreamSession`, with an `Assimilation` as filter.
 
     Attributes:
         fitted: number of the last line to which the start was fitted; lines up to it are skipped.
-        undated: whether nothing states the time of the start.
+        undated: whether the time of the start is assumed, since none is stated.
     """
 
     filter: Assimilation
@@ -75,8 +75,8 @@ class Session(StreamSession):
         """Assimilate all lines of the stream.
 
         Raises:
-            UserError: a header with unknown names.
-            TrainingError: the filter has diverged, with the line in the message, or no line was accepted.
+            UserError: the header contains unknown names.
+            TrainingError: the filter has diverged (the message names the line), or no line was accepted.
         """
         try:
             self._run(watch)
@@ -92,7 +92,7 @@ class Session(StreamSession):
         self._end()
 
     def _block(self, texts: list[str], watch: Watcher | None) -> None:
-        """Process lines, and write the rows of all processed lines, also if a later line fails."""
+        """Process lines, and write the rows of all processed lines even if a later line fails."""
         first = self.lines.number - len(texts) + 1
         there = [(first + k, text) for k, text in enumerate(texts) if text and not text.startswith("#")]
         if self.layout is None and there:
@@ -121,7 +121,7 @@ class Session(StreamSession):
         return deque(ParsedLine(*line, reading) for line, reading in zip(there, found, strict=True))
 
     def _next(self, lines: deque[ParsedLine], made: MadeRows, watch: Watcher | None) -> None:
-        """Take from a block the next lines that are processed together, at least one."""
+        """Remove from a block the next lines that can be filtered together, at least one, and filter them."""
         number, text, reading = lines[0]
         assert self.layout is not None
         try:
@@ -149,7 +149,7 @@ class Session(StreamSession):
                 watch(number, reading, estimate, self.counts)
 
     def _tell(self, number: int, reading: Reading, estimate: Estimate) -> None:
-        """Count an estimate, and report it unless it is usual."""
+        """Count an estimate, and report it unless the reading was simply accepted."""
         self.counts[estimate.outcome] += 1
         if estimate.outcome == "taken" and estimate.innovation is not None:
             self.nis += float(estimate.innovation.nis)

@@ -22,7 +22,8 @@ from ahnn.types import Space
 log = logging.getLogger("ahnn")
 
 Carry = Callable[[Tensor, Tensor, Tensor], Tensor]
-"""Propagates covariances (1, D, D) of states (1, D) from the first of times (2,) to the second."""
+"""Function of states (1, D), times (2,) and covariances (1, D, D): propagates the latter to the second time.
+"""
 
 
 class Begin(NamedTuple):
@@ -52,7 +53,7 @@ def belief_of(
         many: whether there are many objects.
 
     Raises:
-        UserError: several states of one object, or a missing covariance.
+        UserError: several states of one object, or no valid covariance.
     """
     if len(found.states) != 1 and not many:
         names = ", ".join(found.names[:5]) + (", .." if len(found.names) > 5 else "")
@@ -103,7 +104,7 @@ def begin(found: Starts, ours: Reference, time: float | str | None, unit: str) -
             raise UserError(message)
         return Begin(clock._replace(zero=whole.epoch), held if time is None else time, whole)
     moment = own.on(clock.system)
-    if ours.epoch is None:  # time zero is the user's time of the start, or the start itself
+    if ours.epoch is None:  # the start is at the user's time, or else at time zero
         zero = clock.after(moment.epoch, held - (time or 0.0))
         clock = clock._replace(zero=zero, dated=time is None)
         return Begin(clock, time or 0.0, whole._replace(epoch=zero))

@@ -19,7 +19,7 @@ class StreamClock(NamedTuple):
         unit: unit of numeric times.
         zero: epoch of time zero (`ahnn.data.files.epochs`); None for plain numbers.
         system: time scale of epochs, such as UTC.
-        scale: unit of the stream's numeric times, in `unit`.
+        scale: unit of the stream's numeric times, as a multiple of `unit`.
         dated: whether only epochs are accepted, because the origin of numeric times is unknown.
         cells: time scale of the epochs in a stream; "": the time scale of time zero.
     """
@@ -32,11 +32,11 @@ class StreamClock(NamedTuple):
     cells: str = ""
 
     def time(self, cell: Any) -> float:
-        """Parse the time in a cell, NaN where it is missing.
+        """Parse the time in a cell, NaN if it is missing.
 
         Raises:
-            BadLine: not a time.
-            UserError: an epoch without an epoch of time zero, or a number without a known origin.
+            BadLine: the cell is not a time.
+            UserError: the cell is an epoch but time zero has none, or a number without a known origin.
         """
         if not (isinstance(cell, str) and (DATE.match(cell) or "T" in cell)):
             time = self.scale * number(cell, "time")
@@ -86,7 +86,7 @@ class StreamClock(NamedTuple):
         return clock.size if clock.dimension == TIME else 1.0
 
     def named(self, text: str) -> StreamClock:
-        """Apply the time unit or time scale of a header to the clock; raises UserError."""
+        """Return the clock with the time unit or time scale of a header; raises UserError for others."""
         if text == self.system or {text, self.system} <= TO_TT.keys():
             return self._replace(cells=text)
         try:

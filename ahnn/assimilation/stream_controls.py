@@ -33,7 +33,7 @@ class StreamControls(NamedTuple):
 
     @classmethod
     def of(cls, flow: Flow, known: ControlTable | None, time: float) -> StreamControls:
-        """Build the controls of a process model from its start time.
+        """Build the controls of a process model from the start time on.
 
         Raises:
             UserError: a table that does not match the model's controls, or begins after the start.
@@ -85,7 +85,7 @@ class StreamControls(NamedTuple):
         """Return the controls between two times, given those valid at the first.
 
         Raises:
-            UserError: an unknown control.
+            UserError: a control without a value.
         """
         if self.known is not None or not self.size or not time > since:
             return self.known

@@ -10,7 +10,7 @@ from ahnn.assimilation.fixed_lag import LaggedEstimate
 from ahnn.estimation import Innovation
 
 Outcome = Literal["taken", "reopened", "rejected", "predicted", "repeated", "late", "ahead"]
-"""Outcome of a reading: accepted, accepted by a wider belief, rejected by the gate, empty, duplicate, too
+"""Outcome of a reading: accepted, accepted with a widened belief, rejected by the gate, empty, duplicate, too
 late, or too far ahead. The last three leave the estimate unchanged.
 """
 
@@ -40,7 +40,7 @@ class Estimate(NamedTuple):
 
 
 def covariances(chol: Tensor) -> Tensor:
-    """Return the covariances (..., D, D) of factors; each is bit-identical alone and in a batch."""
+    """Return the covariances (..., D, D) of factors, bit-identical whether computed alone or in a batch."""
     total, *others = [part.unsqueeze(-1) * part.unsqueeze(-2) for part in chol.unbind(-1)]
     for other in others:
         total = total + other

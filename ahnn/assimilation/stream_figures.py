@@ -28,7 +28,7 @@ def figures_of(record: AssimilationRecord, space: Space, units: Mapping[str, str
 
 
 def innovations(record: AssimilationRecord, space: Space, units: Mapping[str, str]) -> Figure:
-    """Plot measurement minus prediction, each sensor in its colour, with a band of three deviations."""
+    """Plot measurement minus prediction, each sensor in its colour, with a 3-sigma band."""
     time, unit = _time(record, space)
     figure = style.canvas(8, 1.2 + 1.9 * len(record.measured))
     panels = figure.subplots(len(record.measured), 1, sharex=True, squeeze=False)[:, 0]
@@ -64,7 +64,7 @@ def innovations(record: AssimilationRecord, space: Space, units: Mapping[str, st
 
 
 def consistency(record: AssimilationRecord, space: Space) -> Figure:
-    """Plot the moving mean over accepted readings of the NIS per measured value, and its 95 % band."""
+    """Plot the NIS per measured value, as a moving mean over accepted readings, with its 95 % band."""
     time, unit = _time(record, space)
     figure = style.canvas(8, 4)
     axes = figure.subplots()
@@ -87,7 +87,7 @@ def consistency(record: AssimilationRecord, space: Space) -> Figure:
 
 
 def deviations(record: AssimilationRecord, space: Space) -> Figure:
-    """Plot standard deviations of positions and momenta, root sum of squares over components."""
+    """Plot the standard deviations of position and velocity, as roots of sums of squares over components."""
     time, unit = _time(record, space)
     figure = style.canvas(8, 5)
     panels = figure.subplots(2, 1, sharex=True)

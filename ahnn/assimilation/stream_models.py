@@ -21,7 +21,7 @@ from ahnn.estimation.state import MemberState
 from ahnn.measurements import Measurement
 
 HOPELESS = 1e16
-"""NIS of a number at 1e8 standard deviations: adding such an innovation to the state loses all its digits."""
+"""NIS of a value at 1e8 standard deviations: adding such an innovation to the state loses all its digits."""
 FURTHEST = 10_000
 """Default limit on how far a reading may lie ahead, in steps of the flow."""
 LOST = (Status.NOT_FINITE, Status.COLLAPSED, Status.IMPRECISE)
@@ -43,7 +43,7 @@ class StreamModels:
         self.seen = {name: self._seen(name, sensor) for name, sensor in self.sensors.items()}
 
     def identity(self, numbers: Sequence[float]) -> str:
-        """Return a hash of all that determines estimates except start and readings, 32 hexadecimal digits."""
+        """Return a hash (32 hexadecimal digits) of what determines estimates except start and readings."""
         sensors = {
             name: [plain(one.measurement), one.deviations, *(one.biases or ())]
             for name, one in self.sensors.items()
@@ -59,7 +59,7 @@ class StreamModels:
         y: Tensor,
         model: Measurement,
     ) -> Tensor:
-        """Return which of B readings are invalid, (B,) bool: their filters work with expected measurements.
+        """Return which of B readings are invalid, (B,) bool: filters fail, but not on expected measurements.
 
         Args:
             sensor: sensor of the readings.
@@ -81,7 +81,7 @@ class StreamModels:
         return suspect & ~_lost(usual)
 
     def beyond_patience(self, state: EstimatorState, innovation: Innovation) -> Tensor:
-        """Return the members, (B,) bool, whose gate has rejected as many consecutive readings as it may."""
+        """Return the members, (B,) bool, whose gate has rejected `patience` or more consecutive readings."""
         gate: Gate | None = getattr(self.process.estimator, "gate", None)
         if gate is None or not gate.reopens:
             return torch.zeros_like(innovation.rejected)
@@ -90,7 +90,7 @@ class StreamModels:
     def reopened(
         self, before: EstimatorState, y: Tensor, model: Measurement, noise: Covariance, spread: Tensor
     ) -> tuple[EstimatorState, Innovation, Tensor]:
-        """Process readings with beliefs widened for them; see `ahnn.estimation.reopening`."""
+        """Process readings with beliefs widened to accept them; see `ahnn.estimation.reopening`."""
         filtering = cast("MemberFilter[Any]", self.process.estimator)
         return reopened(filtering, cast(MemberState, before), y, model, noise, spread)
 
@@ -101,5 +101,5 @@ class StreamModels:
 
 
 def _lost(state: EstimatorState) -> Tensor:
-    """Return which members failed in one of the ways of `LOST`."""
+    """Return which members have one of the statuses in `LOST`."""
     return torch.stack([state.status == status for status in LOST]).any(0)

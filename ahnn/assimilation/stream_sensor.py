@@ -37,17 +37,17 @@ class StreamSensor(NamedTuple):
         bias_sd: float | list[float] | None = None,
         bias_memory: float | list[float] | None = None,
     ) -> StreamSensor:
-        """Build the sensor of a model; a sensor of state components uses their names as columns.
+        """Build a sensor; if it measures state components, their names are its columns.
 
         Args:
             measurement: measurement model.
-            deviations: argument of `noise_deviations`, or None.
+            deviations: standard deviations, as for `noise_deviations`; None if each reading supplies its own.
             space: description of the state components.
-            bias_sd: standard deviations of estimated biases, argument of `Biases.of`.
+            bias_sd: standard deviations of estimated biases, as for `Biases.of`.
             bias_memory: time constants of the biases.
 
         Raises:
-            UserError: errors of `noise_deviations` and `Biases.of`.
+            UserError: in the same cases as `noise_deviations` and `Biases.of`.
         """
         reads = isinstance(measurement, Position | State)
         columns = space.components[: len(measurement.names)] if reads else measurement.names

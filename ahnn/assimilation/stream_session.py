@@ -1,4 +1,4 @@
-"""Crash-safe assimilation of a stream: a kill at any moment neither loses nor repeats a line.
+"""Crash-safe assimilation of a stream: a crash at any moment neither loses nor repeats a line.
 
 The state is saved at regular intervals, with the number of lines processed and the length of the output. On
 resumption the output is truncated to that length and later lines are processed again, with bitwise equal
@@ -152,7 +152,7 @@ class StreamSession(StreamTally):
             self.require_taken()
 
     def _output(self, known: Notes | None) -> Any:
-        """Open the output, as recorded in a state, or a new one for None."""
+        """Open the output recorded in a state, or a new one for None."""
         if known is None:
             return Output(self.path, self.rows)
         return Output(self.path, self.rows, known.lines, known.size, known.tail)

@@ -1,4 +1,4 @@
-"""Number of lines of a stream by outcome, consistency of its innovations, and verdicts on both."""
+"""Numbers of lines of a stream by outcome, consistency of its innovations, and verdicts on both."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ahnn.estimation.consistency import band
 FEW = 30
 """Number of measured values below which consistency is not judged."""
 LEAST = 10
-"""Number of lines below which the fraction of accepted ones is not judged."""
+"""Number of lines below which the fraction of accepted lines is not judged."""
 MANY = 0.05
 """Fraction of rejected measurements that outliers rarely reach."""
 REMEDIES = {
@@ -31,13 +31,13 @@ REMEDIES = {
 
 
 class StreamTally:
-    """Outcome of a stream, in total.
+    """Total outcome of a stream.
 
     Attributes:
         counts: number of lines by outcome.
         nis, numbers: sum of the NIS of accepted lines, and their number of values.
-        disordered: number of late lines that do not precede the start, of this command.
-        asks: whether the stream may only request predictions.
+        disordered: number of late lines after the start, counted in this command only.
+        asks: whether the stream may consist of requests for predictions alone.
     """
 
     def __init__(self) -> None:

@@ -1,7 +1,7 @@
-"""Parsing of lines or columns of objects to readings, column-wise with a row-wise fallback.
+"""Parsing of lines or columns into readings, by columns if possible, otherwise by rows.
 
-`Layout` defines the meaning of a row. Rows of plain numbers, which nearly all rows are, are converted column
-by column, and unusual rows are passed to `Layout`.
+`Layout` defines the meaning of a row. Nearly all rows consist of plain numbers and are converted column by
+column; unusual rows are passed to `Layout`.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from ahnn.data.files.table import is_number
 from ahnn.errors import UserError
 
 Column = Sequence[Any] | Array
-"""The K cells of a column, as texts or numbers."""
+"""The K cells of a column, as strings or numbers."""
 Mask = NDArray[np.bool_]
 FEW = 4
-"""Number of lines from which columns are faster than rows."""
+"""Minimum number of lines for which parsing by columns is faster than by rows."""
 
 
 class ParsedLines(NamedTuple):
@@ -86,7 +86,7 @@ class TableParser:
         return found
 
     def _split(self, texts: list[str]) -> tuple[dict[str, Column], list[int]]:
-        """Return the columns of lines that have a cell for each name, without quotes, and their indices."""
+        """Return the columns of lines with a cell for each name and no quotes, and the lines' indices."""
         names, mark = self.layout.names, self.layout.delimiter
         assert names is not None
         cells = [text.split(mark) for text in texts]
@@ -97,7 +97,7 @@ class TableParser:
         return dict(zip(names, columns, strict=True)), whole
 
     def of_columns(self, lines: list[int], columns: dict[str, Column]) -> ParsedLines:
-        """Parse named columns of texts or numbers."""
+        """Parse named columns of strings or numbers."""
         return self._of_columns(lines, columns, ([], {}))
 
     def _of_columns(
@@ -141,7 +141,7 @@ class TableParser:
         return plain, ReadingTable(objects, times, sensors, values, deviations)
 
     def _times(self, column: Column, plain: Mask) -> Array:
-        """Convert the times of rows; rows without a time are not plain. Raises the clock's UserError."""
+        """Convert the times of rows; rows without a time are not plain. Raises UserError like the clock."""
         clock = self.layout.clock
         if clock is None or (_is_numeric(column) and not clock.dated):
             times = self._numbers(column, plain, 1.0 if clock is None else clock.scale)
@@ -157,7 +157,7 @@ class TableParser:
         return times
 
     def _complete(self, sensors: Places, values: Array, deviations: Array, plain: Mask) -> None:
-        """Fill in standard deviations, like `Layout`; rows with unknown deviations are not plain."""
+        """Fill in standard deviations as `Layout` does; rows with unknown deviations are not plain."""
         own, seen = self.own[sensors], self.seen[sensors]
         bare = np.isnan(deviations).all(1) & ~np.any(np.isnan(own) & seen, axis=1)
         filled = np.where(np.isnan(deviations), own, deviations)
@@ -166,7 +166,7 @@ class TableParser:
         deviations[:] = np.where(seen & ~bare[:, None], filled, math.nan)
 
     def _sensors(self, columns: dict[str, Column], count: int) -> Places:
-        """Return sensor indices, -1 where the name is missing among several sensors."""
+        """Return sensor indices, -1 for an unknown name, or for no name if there are several sensors."""
         if SENSOR not in columns:
             return np.full(count, 0 if len(self.sensors) == 1 else -1)
         known = {name: k for k, name in enumerate(self.sensors)}
@@ -235,7 +235,7 @@ class TableParser:
         return ParsedLines([[*lines, *own][k] for k in order.tolist()], whole, bad)
 
     def _table(self, pairs: list[tuple[str, Reading]]) -> ReadingTable:
-        """Combine single readings to a table."""
+        """Combine single readings into a table."""
         shape = (len(pairs), len(self.columns))
         values, deviations = np.full(shape, math.nan), np.full(shape, math.nan)
         sensors = np.full(len(pairs), -1)
@@ -277,5 +277,5 @@ def _number(cell: Any, row: int, plain: Mask) -> float:
 
 
 def _cell(cell: Any) -> Any:
-    """Return a cell as text without surrounding spaces."""
+    """Return a cell as a Python number, or as text without surrounding spaces."""
     return cell.strip() if isinstance(cell, str) else cell.item() if isinstance(cell, np.generic) else cell

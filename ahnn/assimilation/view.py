@@ -23,7 +23,7 @@ OFTEN, SELDOM = 0.2, 5.0
 
 
 class View:
-    """View of state, 3-sigma, last innovations, NIS and counts on standard error, since rows may use stdout.
+    """View of estimate, 3-sigma, innovations, NIS and counts on standard error, since rows may use stdout.
 
     Args:
         space: description of the state components.

@@ -33,7 +33,7 @@ class BenchmarkRequest:
     jobs: Count = 1
     models: list[str] = field(default_factory=list)
     output: str = "runs/benchmark"
-    only: Count | None = None  # a single draw, counted from 1: used by commands with several jobs
+    only: Count | None = None  # a single draw, counted from 1: set for worker processes
 
 
 class DrawnTraining(NamedTuple):
@@ -46,7 +46,7 @@ class DrawnTraining(NamedTuple):
 
 
 def benchmark(arguments: list[str], usage: str) -> None:
-    """Train and score unfinished entries, and show the table.
+    """Carry out and score unfinished training runs, and show the table.
 
     Raises:
         UserError: unknown tasks or models, or a folder with other content.
@@ -112,7 +112,7 @@ def run(plan: list[DrawnTraining], asked: BenchmarkRequest) -> list[DrawnTrainin
 
 
 def one(training: DrawnTraining) -> None:
-    """Train and score in this process; the folder appears atomically."""
+    """Train and score one draw in this process; its folder appears atomically."""
     import torch
 
     task = TASKS[training.task]

@@ -26,7 +26,7 @@ class Part(NamedTuple):
     Attributes:
         node: configuration node; a nested node with a `_target_` is built unchecked.
         kind: required type.
-        given: names of further arguments, which may be objects; a target receives those that it accepts.
+        given: names of further arguments, which may be objects; those that the target accepts are passed.
     """
 
     node: Any
@@ -38,15 +38,15 @@ def factories(parts: Mapping[str, Part]) -> dict[str, Callable[..., Any]]:
     """Return factories of several nodes, to be called with the given arguments.
 
     Raises:
-        UserError: the message begins with the name of a node: unknown target, an unknown or missing argument,
-            or one of the wrong type. Errors of the target itself, and a wrong kind, are raised on
-            construction.
+        UserError: an unknown target, or an argument that is unknown, missing or of the wrong type; the
+            message begins with the name of the node. Errors of the target itself, and a wrong kind, are
+            raised on construction.
     """
     return {who: factory(who, part) for who, part in parts.items()}
 
 
 def factory(who: str, part: Part) -> Callable[..., Any]:
-    """Return the factory of a node; raises the errors of `factories`."""
+    """Return the factory of a node; raises the same errors as `factories`."""
     arguments = plain_config(part.node) if isinstance(part.node, DictConfig) else {}
     target = arguments.pop("_target_", None)
     partial = arguments.pop("_partial_", False)
@@ -102,13 +102,13 @@ def without_network(cfg: DictConfig) -> DictConfig:
 
 
 def build(node: Any, who: str, kind: type = object, **offered: Any) -> Any:
-    """Instantiate the `_target_` of a node after checking its arguments; raises the errors of `factories`."""
+    """Instantiate the `_target_` of a node with checked arguments; raises the same errors as `factories`."""
     return factory(who, Part(node, kind, offered))(**offered)
 
 
 @contextlib.contextmanager
 def blaming(who: str) -> Iterator[None]:
-    """Convert constructor errors to messages that name the configuration node."""
+    """Convert constructor errors into messages that name the configuration node."""
     try:
         yield
     except (UserError, TrainingError, OSError, AssertionError):  # these errors are already clear
@@ -137,7 +137,7 @@ def plain_config(cfg: Any, who: str = "configuration") -> dict[str, Any]:
     """Return a configuration as plain, resolved values.
 
     Raises:
-        UserError: a value instead of keys.
+        UserError: the configuration is a value instead of a mapping.
     """
     if not isinstance(cfg, DictConfig):
         message = f"{who}: expected a mapping of keys to values; received {cfg!r}"
@@ -152,7 +152,7 @@ def stored(cfg: DictConfig) -> bytes:
 
 
 def new_folder(path: str) -> str:
-    """Create a folder of a given, possibly numbered, name only for this process; YAML resolver.
+    """Create a new folder with a given name, numbered if the name is taken; YAML resolver.
 
     No folder is created for jobs whose folder Hydra has set, or for read-only commands.
     """

@@ -1,4 +1,4 @@
-"""From a command line to training runs on draws of truth, noise and weights, and the test of their bands."""
+"""Calibration command: training runs on draws of truth, noise and weights, and the test of their bands."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ OWN = ("plugins=none", "evaluation=scores", "logger=none")
 DRAWN = ("run", "seed", "seeds", "data.seed", "ckpt")
 """Keys that differ from draw to draw."""
 OTHERWISE = ("gravity", "mass")
-"""Constants of which the first is drawn in a system that lists none."""
+"""Constants of which the first present one is drawn if a system lists none."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def calibrate(arguments: list[str]) -> None:
 
 
 def constants_of(overrides: list[str], spread: float, number: int) -> list[str]:
-    """Return the constants of the system in a draw, as overrides; raises the UserErrors of `calibrate`."""
+    """Return the constants of the system in a draw, as overrides; raises UserError as `calibrate` does."""
     from ahnn.cli.compose import compose_job
     from ahnn.cli.parts import build_sensor, build_source
 
@@ -132,7 +132,7 @@ def several(plan: Sequence[CalibrationDraw], overrides: list[str], asked: Calibr
 
 
 def one(draw: CalibrationDraw, overrides: list[str], asked: CalibrationRequest) -> None:
-    """Train and test in this process; the folder appears when both are done."""
+    """Train and test one draw in this process; its folder appears when both are done."""
     from ahnn.cli.compose import compose_job
     from ahnn.cli.preflight import quiet
     from ahnn.cli.settings import check_settings

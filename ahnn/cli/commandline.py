@@ -1,4 +1,4 @@
-"""Composition of the command line before Hydra, so that every mistake gives one message.
+"""Composition of the command line before Hydra, so that every error gives one message.
 
 Options and keys are read from the search path: this package's conf/, `--config-dir`, `hydra.searchpath` and
 plugins that extend it, so that user-defined options are also found and suggested.
@@ -39,7 +39,7 @@ from ahnn.paths import conf_dir
 MODES = ("run", "multirun", "cfg", "info", "shell_completion")
 TEXTS = ("run", "pretrained", "ckpt", "weights", "name", "label", "start", "measurements", "state", "output")
 TEXTS += ("figure", "figures", "oem", "object", "system.path", "system.name", "data.cache")
-"""Keys that name files, folders or things."""
+"""Keys whose values are names or paths."""
 LISTS = ("run", "system.path")
 """Keys that accept several values."""
 BARE = re.compile(r"\s*(true|false|[+-]?(inf|nan|(\d[\d_]*\.?\d*|\.\d+)(e[+-]?\d+)?))\s*", re.IGNORECASE)
@@ -114,10 +114,10 @@ def pair(text: str) -> tuple[str, Any]:
 
 
 def config_loader(folder: str | None = None) -> ConfigLoaderImpl:
-    """Return Hydra's loader over the search path, with a user folder before it.
+    """Return Hydra's loader for the search path, preceded by a user folder if given.
 
     Raises:
-        UserError: not a folder.
+        UserError: `folder` is not a folder.
     """
     setup_globals()
     path = create_config_search_path(str(conf_dir()))
@@ -131,7 +131,7 @@ def config_loader(folder: str | None = None) -> ConfigLoaderImpl:
 
 
 def check(args: Namespace, config_name: str) -> DictConfig | None:
-    """Compose the jobs of a command line, each swept group option with the first option of all other groups.
+    """Compose jobs of a command line: each swept group option with the first option of all other groups.
 
     Returns the configuration of the first job, or None without a job.
 
@@ -183,7 +183,7 @@ def alternatives(override: Override, loader: ConfigLoaderImpl) -> list[str]:
 
 
 def compose(loader: ConfigLoaderImpl, name: str, overrides: list[str]) -> DictConfig:
-    """Return the configuration of given overrides.
+    """Return the configuration composed from overrides.
 
     Raises:
         UserError: an unknown option or key, or incompatible options.
@@ -232,7 +232,7 @@ def check_additions(loader: ConfigLoaderImpl, overrides: Iterable[str]) -> None:
 
 
 def check_recipe(cfg: DictConfig, overrides: Iterable[str]) -> None:
-    """Reject noise with an implicit recipe for exact samples, and windows with one for segments.
+    """Reject noise with an implicit recipe for exact samples, and `window` with a recipe for segments.
 
     Raises:
         UserError: such options; the message names them and the implicit recipe.

@@ -29,7 +29,7 @@ def composed(name: str, overrides: Sequence[str], *, partly: bool = False) -> Di
     """Return the configuration NAME of conf/ with overrides; `partly` if only some nodes are used.
 
     Raises:
-        UserError: they do not compose, or an override has no effect.
+        UserError: the overrides do not compose, or one of them has no effect.
     """
     loader, texts = config_loader(), with_recorded([worded(text) for text in overrides])
     for text in texts:
@@ -41,7 +41,7 @@ def composed(name: str, overrides: Sequence[str], *, partly: bool = False) -> Di
 
 
 def compose_job(overrides: Sequence[str], folder: Path) -> DictConfig:
-    """Compose a training run in a folder, by default without plugins; raises the errors of `composed`."""
+    """Compose a training run in a folder, by default without plugins; raises UserError as `composed` does."""
     defaults = [] if any(text.startswith("plugins=") for text in overrides) else ["plugins=none"]
     cfg = composed("train", [*defaults, *overrides])
     cfg.folder = cfg.run = str(folder).replace("${", r"\${")  # prevents interpolation of the folder name
@@ -49,7 +49,7 @@ def compose_job(overrides: Sequence[str], folder: Path) -> DictConfig:
 
 
 def compose_sweep(overrides: Sequence[str]) -> list[DictConfig]:
-    """Compose the jobs of Hydra's basic sweeper for overrides, in order; raises the errors of `composed`."""
+    """Compose the jobs of Hydra's basic sweeper in order; raises UserError if overrides do not compose."""
     loader = config_loader()
     single = [text for text in overrides if not parse(text).is_sweep_override()]
     for text in overrides:

@@ -64,7 +64,7 @@ def held() -> Iterator[None]:
 
 @contextlib.contextmanager
 def ended(how_to_go_on: Callable[[], str], *, speaks: bool = True) -> Iterator[None]:
-    """Log how to resume after a signal; of several processes only one logs.
+    """Raise `Stopped` with advice on resuming after a signal; without `speaks`, exit silently.
 
     Lightning itself exits with code 1 on Ctrl-C.
     """
@@ -90,7 +90,7 @@ def code_of(stop: Stopped) -> int:
 
 @contextlib.contextmanager
 def interruptible(trainer: Trainer, how_to_go_on: Callable[[], str]) -> Iterator[None]:
-    """Convert early termination of a fit or an evaluation to one message.
+    """Convert early termination of a fit or an evaluation into one message.
 
     Raises:
         Stopped: on a signal, with the resume command in the message.

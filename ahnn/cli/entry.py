@@ -71,7 +71,7 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
 
 @contextlib.contextmanager
 def folder_of(run: Path | None) -> Iterator[None]:
-    """Convert Hydra's failure to create the run folder to a UserError; other errors are not changed."""
+    """Convert Hydra's failure to create the run folder into a UserError; other errors are unchanged."""
     try:
         yield
     except OSError as error:
@@ -83,7 +83,7 @@ def folder_of(run: Path | None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def known_mode(mode: RunMode | None) -> Iterator[None]:
-    """Avoid Hydra's extra composition for its mode, which takes half a second."""
+    """Avoid the extra composition by which Hydra determines its mode, which takes half a second."""
     look_up = Hydra.get_mode
     Hydra.get_mode = lambda *_, **__: mode
     try:
@@ -100,7 +100,7 @@ def named_folder(overrides: Sequence[str]) -> Path | None:
 
 
 def forget(folder: Path) -> None:
-    """Remove the empty folder of a run that never began, including the folders of its seeds."""
+    """Remove Hydra's files of a run that never began with any seed, and its folder if then empty."""
     if not any((f / "config.yaml").exists() for f in (folder, *folder.glob("seed_*"))):
         shutil.rmtree(folder / ".hydra", ignore_errors=True)
         with contextlib.suppress(OSError):

@@ -1,4 +1,4 @@
-"""Conversion of errors to one message and an exit code.
+"""Conversion of errors into one message and an exit code.
 
 Exit codes: 0 done, 2 user error, 3 training failed, 128 + n stopped by signal n: 130 for Ctrl-C, 143 for
 SIGTERM and 129 for SIGHUP. A closed pipe, as with `| head`, gives the code of SIGPIPE, 141, without a
@@ -25,7 +25,7 @@ from ahnn.memory import keep_freed
 
 OURS = (UserError, TrainingError)
 NO_MEMORY = re.compile(r"can't allocate memory|out of memory", re.IGNORECASE)
-"""Beginning of torch's out-of-memory messages, which occur in errors of any type."""
+"""Pattern of torch's out-of-memory messages, which occur in errors of any type."""
 
 
 def run_command(
@@ -88,7 +88,7 @@ def guard(entry: Callable[[], Any]) -> int:
 def _end_quietly() -> None:
     """Discard output of libraries after the exit handlers, if Triton is imported.
 
-    Lightning imports it; Triton 3.9 then reports thirty lines of leaks at each end of a process.
+    Lightning imports it; Triton 3.9 then prints thirty lines about leaks whenever a process ends.
     """
 
     def discard() -> None:
@@ -133,7 +133,7 @@ def in_library(error: Exception) -> bool:
 
 @contextlib.contextmanager
 def in_words() -> Iterator[None]:
-    """Convert Hydra and OmegaConf configuration errors to UserError, for use from Python."""
+    """Convert configuration errors of Hydra and OmegaConf into UserError, for use from Python."""
     try:
         yield
     except Exception as error:
@@ -148,7 +148,7 @@ def of_configuration(error: Exception) -> bool:
 
 
 def configured(error: Exception) -> Exception | str:
-    """Return a Hydra or OmegaConf message on one line with the key, or our own cause."""
+    """Return a Hydra or OmegaConf message on one line with the key, or the `ahnn` error that caused it."""
     from ahnn.cli.commandline import first_line
 
     if isinstance(error.__cause__, OURS):

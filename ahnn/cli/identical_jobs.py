@@ -24,7 +24,7 @@ def warn_of_twins(jobs: Iterable[DictConfig], names: Iterable[str]) -> None:
 
 
 def decisive(cfg: DictConfig) -> dict[str, Any]:
-    """Return the settings that determine the training; W only if recursive predictions are used."""
+    """Return the settings that determine the training, with the window if recursive predictions are used."""
     plain: Any = OmegaConf.to_container(cfg, resolve=False)
     return {
         key: plain[key] for key in sorted(plain) if key not in NAMES and (key != "window" or _recurs(cfg))

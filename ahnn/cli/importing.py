@@ -48,9 +48,9 @@ def let_import(targets: Iterable[object]) -> None:
 
 
 def import_torchmetrics() -> None:
-    """Import torchmetrics, needed by Lightning, without scipy.signal: a seventh of a short command's time.
+    """Import torchmetrics, which Lightning needs, without scipy.signal.
 
-    torchmetrics imports scipy.signal only to check for a name of older versions.
+    That import would take a seventh of a short command's time, only to check for a name of older versions.
     """
     if not {"scipy.signal", "torchmetrics"} & sys.modules.keys():
         stand_in = ModuleType("scipy.signal")

@@ -1,4 +1,4 @@
-"""Draws of a study: processes in parallel, and for each draw a folder that appears with its score."""
+"""Draws of a study: parallel processes, and for each draw a folder that appears when its score exists."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from ahnn.files import claimed, whole_folder
 
 log = logging.getLogger("ahnn")
 SIGNALLED = 128
-"""Exit codes above this belong to signals."""
+"""Exit codes above this mean termination by a signal."""
 REPORT = "draw "
-"""Beginning of the lines that a process with several draws logs at the end of each."""
+"""Beginning of the line that a process with several draws logs at the end of each draw."""
 SCORE = "score.json"
-"""Name of the file of a score, next to the run in the folder of a draw."""
+"""Name of the score file, next to the run in the folder of a draw."""
 
 
 class NumberedDraw(Protocol):
@@ -53,9 +53,9 @@ def run_missing(
 
     Args:
         plan: all draws.
-        words: returns the arguments of `python -m` for the draws of a process.
-        jobs: processes at a time.
-        shared: whether a process runs several draws, since its start takes as long as one of them.
+        words: function that returns the arguments of `python -m` for the draws of a process.
+        jobs: number of simultaneous processes.
+        shared: whether a process runs several draws, since starting it takes as long as a draw.
     """
     left = [draw for draw in plan if not finished(draw)]
     shares = [left[k::jobs] for k in range(min(jobs, len(left)))] if shared else [[draw] for draw in left]

@@ -13,7 +13,7 @@ from ahnn.errors import UserError
 
 RATE = "optimizer.lr"
 RATES = ("lr", "learning_rate", RATE, "optimizer.learning_rate")
-"""Names under which a learning rate is looked for."""
+"""Names by which users may refer to the learning rate."""
 OWN = ". For your own options add --config-dir FOLDER"
 
 

@@ -1,4 +1,4 @@
-"""From a command line with `orbit=FILE.yaml` to a stream that continues an orbit determination."""
+"""Command line with `orbit=FILE.yaml`: a stream that continues an orbit determination."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def read_following(arguments: list[str], usage: str) -> Stream:
     """Return the stream requested by a command line.
 
     Raises:
-        UserError: no such file, an unknown key, or incompatible options.
+        UserError: a missing file, an unknown key, or incompatible options.
         TrainingError: the start is to be fitted, and no state fits.
     """
     given = ["watch=true" if argument == "--watch" else argument for argument in arguments]
@@ -73,7 +73,7 @@ def filter_of(overrides: list[str], gate: AskedGate) -> tuple[RecursiveEstimator
     """Return the estimator named on a command line, and the process noise per minute.
 
     Raises:
-        UserError: no or several estimators, or a process noise fitted to a model.
+        UserError: no estimator or several, or a process noise fitted to a model.
     """
     texts = overrides if any(text.startswith("plugins=") for text in overrides) else [DEFAULT, *overrides]
     cfg = composed("train", texts, partly=True)

@@ -25,7 +25,7 @@ SIMULATION = ("trajectories", "seed", "cache")
 """Keys of `data` for the number of simulated trajectories and their cache."""
 SENSOR = {"measured": None, "noise": None, "every": 1, "stride": 1, "gaps": 0, "outliers": 0}
 SENSOR |= {"bias_sd": None, "correlation": None, "tails": None, "freedom": None}
-"""Keys of `data` for the sensor of training, with values without effect."""
+"""Keys of `data` for the sensor of training, each with the value that has no effect."""
 
 
 def build_source(cfg: DictConfig) -> Source:
@@ -75,7 +75,7 @@ def build_recorded(options: dict[str, Any], source: Recordings | Observed) -> Re
     """Build the sensor of recorded data; None for exact states.
 
     Raises:
-        UserError: positions without their noise, or options of simulated measurements only.
+        UserError: positions without their noise, or options that apply only to simulated measurements.
     """
     kept = {
         name: options.pop(name) for name in ("measured", "noise", "stride", "bias_sd", "correlation", "tails")
@@ -110,7 +110,7 @@ def build_sighted(options: dict[str, Any], source: Observed) -> Recorded:
     """Build the sensor of station measurements, with the noise and the biases of the file unless given.
 
     Raises:
-        UserError: other measurements.
+        UserError: `data.measured` requests other measurements.
     """
     seen = source.sensors()
     if options["measured"] is not None:
@@ -127,7 +127,7 @@ def build_sighted(options: dict[str, Any], source: Observed) -> Recorded:
 
 
 def build_plugins(cfg: DictConfig, splits: SplitData) -> dict[str, EvaluationPlugin]:
-    """Build the evaluations that run after fit, and check each against the data."""
+    """Build the evaluations that run after training, and check each against the data."""
     from ahnn.evaluation import EvaluationPlugin
 
     plugins = build_all(cfg.plugins, "plugins", EvaluationPlugin)

@@ -24,7 +24,7 @@ HINTS = (
     ".*srun. command is available on your system but is not used.*",
     "GPU available but not used.*",
 )
-"""Lightning warnings on intended settings, such as short epochs or a login node without `srun`."""
+"""Lightning warnings about intended settings, such as short epochs or a login node without `srun`."""
 
 WRITTEN = ("config.yaml", "metrics.json", "predictions.safetensors")
 """Result files besides figures and checkpoints."""
@@ -42,7 +42,7 @@ def begin(cfg: DictConfig) -> None:
 
 
 def quiet() -> None:
-    """Silence Lightning's warnings on intended settings."""
+    """Silence Lightning's warnings about intended settings."""
     with held():
         import_torchmetrics()
         from lightning.pytorch.utilities import rank_zero_only
@@ -59,7 +59,7 @@ def require_new(folder: Path, ckpt: str | None) -> None:
     """Check that a training run overwrites neither another run nor foreign files.
 
     Raises:
-        UserError: the folder contains checkpoints but none is resumed, or files that are not ours.
+        UserError: the folder contains checkpoints but none is resumed, or files that `ahnn` did not write.
     """
     from ahnn.evaluation.sinks.figure_files import pictures_in
 

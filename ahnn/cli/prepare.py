@@ -40,7 +40,7 @@ DECISIVE = ("max_epochs", "gradient_clip_val", "gradient_clip_algorithm", "accum
 CHOOSING = ("callbacks.best.monitor", "callbacks.rollout.count", "callbacks.rollout.every")
 """Settings that select the best weights."""
 SMOKE = "budget=smoke only checks the installation; the default budget trains the model"
-"""Finding below the table of such a run."""
+"""Finding below the table of a run with budget=smoke."""
 
 
 def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] | None = None) -> Prepared:
@@ -94,7 +94,7 @@ def checkpoint_of(cfg: DictConfig) -> Path | None:
 
 
 def require_one(cfg: DictConfig) -> None:
-    """Raise UserError for an ensemble where a single model is trained."""
+    """Raise UserError if an ensemble is requested where a single model is trained."""
     if cfg.get("members"):
         message = (
             f"members: expected null, since one model is trained here; received {cfg.members}. Use "
@@ -142,7 +142,7 @@ def build_trainer(made: Factories, folder: Path) -> Trainer:
     """Build the Lightning trainer with its callbacks and loggers.
 
     Raises:
-        UserError: several devices within one process of a sweep, which the first job would not release.
+        UserError: several devices inside the process of a sweep, whose first job would not release them.
     """
     callbacks, loggers = (
         [build_it() for name, build_it in made.items() if name.startswith(group)]

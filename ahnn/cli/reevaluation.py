@@ -27,15 +27,14 @@ NODES = ("system", "data", "evaluation", "plugins", "measurement")
 """Parts of a configuration used by an evaluation."""
 KEYS = ("label", "threads")
 SINCE = {"bias_sd": None, "bias_memory": None}
-"""Keys of `measurement` missing in runs of version 0.2."""
+"""Keys of `measurement` that runs of version 0.2 lack."""
 DATA = (*SIMULATION, "split", *SENSOR)
-"""Keys of `data` that define trajectories and sensor, not the training. The cache belongs to the user.
-"""
+"""Keys of `data` that define trajectories and sensor, not the training; the cache is the current user's."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Own:
-    """Keys of the command line outside the configuration."""
+    """Keys of the command line that are not part of the configuration."""
 
     run: str | None = None
     pretrained: str | None = None
@@ -52,7 +51,7 @@ class Request(NamedTuple):
         ckpt: weights to evaluate.
         name: name of the evaluation, or None.
         overrides: key=value, in the order given.
-        trust: whether to build whatever the run's configuration names.
+        trust: whether to build any class that the run's configuration names.
     """
 
     source: Path
@@ -95,8 +94,8 @@ def run_config(folder: Path, request: Request) -> DictConfig:
     """Return the configuration of a run with the requested changes.
 
     Raises:
-        UserError: it is missing or damaged, names untrusted classes, or an override has no effect or a wrong
-            value.
+        UserError: the configuration is missing or damaged or names untrusted classes, or an override has no
+            effect or a wrong value.
     """
     path = folder / "config.yaml"
     content = read_plain(path)

@@ -1,4 +1,4 @@
-"""Task of `python -m ahnn.reproduce`: the runs of a plan, each skipped if finished, or resumed."""
+"""Task of `python -m ahnn.reproduce`: runs of a plan; finished ones are skipped, unfinished ones resumed."""
 
 from __future__ import annotations
 

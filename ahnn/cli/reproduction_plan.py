@@ -21,7 +21,7 @@ ITS_OWN = ("sweep", "ckpt", "seeds", "folder", "label", "trial", "hydra.sweep.di
 MACHINE = {"run", "ckpt", "threads", "data.cache"}
 """Keys that may differ between two starts of one command."""
 SHARED = ("system", "data", "trainer", "scheduler", "plugins", "evaluation")
-"""Parts common to all runs of a folder, except for the seed of the batches."""
+"""Parts common to all runs of a folder, except for the seed of the batch order."""
 
 
 class Plan(NamedTuple):
@@ -76,7 +76,7 @@ def plan(arguments: list[str], usage: str) -> Plan:
     own = [f"sweep=reproduce_{values['budget']}", f"run='{folder}'"]
     overrides = [*(text for key, text in given.items() if key not in ("budget", "run")), *own]
     jobs = compose_sweep(overrides)
-    if all(cfg.data.windows_per_epoch is None for cfg in jobs):  # long windows are fewer
+    if all(cfg.data.windows_per_epoch is None for cfg in jobs):  # models with longer windows have fewer
         overrides.append(f"data.windows_per_epoch={min(map(windows, jobs))}")
         jobs = compose_sweep(overrides)
     steps = sorted({steps_of(cfg) for cfg in jobs})

@@ -76,7 +76,7 @@ def check_settings(cfg: DictConfig) -> None:
     """
     schemas = {"": CommonSettings, "data": Splits, "evaluation": Evaluation, "trainer": Training}
     own = [name for name, key in signature(CommonSettings).parameters.items() if key.default is key.empty]
-    if missing := [name for name in (*own, *schemas) if name and name not in cfg]:  # prerequisites
+    if missing := [name for name in (*own, *schemas) if name and name not in cfg]:  # the checks need them
         message = f"configuration: expected key {missing[0]!r}; received none"
         raise UserError(message)
     values = plain_config(cfg)
@@ -88,7 +88,7 @@ def check_settings(cfg: DictConfig) -> None:
     require_alone(values)
     require_seeds(values)
     received = flatten(values)
-    for key, value in flatten(values.get("required") or {}).items():  # consequences of the chosen model
+    for key, value in flatten(values.get("required") or {}).items():  # requirements of the model
         if received.get(key) != value:
             message = (
                 f"{key}: expected {value} with model {cfg.label}; received {received.get(key)}. Choose "
@@ -122,7 +122,7 @@ def require_seeds(values: dict[str, Any]) -> None:
 
 
 def check_keys(values: dict[str, Any], schemas: dict[str, type]) -> None:
-    """Check the keys of nodes that belong to a schema, ignoring those with other owners."""
+    """Check the keys of nodes that belong to a schema; others are ignored, except in `evaluation`."""
     for who, schema in schemas.items():
         node = values[who] if who else values
         if not isinstance(node, dict):

@@ -30,12 +30,12 @@ def assimilate_sharded(stream: Stream, arguments: list[str], usage: str) -> None
 
     Args:
         stream: the stream, of all objects.
-        arguments: the command line that it was built from.
-        usage: message for an invalid one.
+        arguments: the command line from which it was built.
+        usage: message for an invalid command line.
 
     Raises:
         UserError: a stream that cannot be divided, or a worker's error.
-        TrainingError: no line was accepted, most were rejected, or a worker was killed again and again.
+        TrainingError: no line was accepted, most were rejected, or a worker was killed repeatedly.
     """
     options, catalogue = stream.asked, stream.filtering
     assert options.workers is not None
@@ -63,7 +63,7 @@ def assimilate_sharded(stream: Stream, arguments: list[str], usage: str) -> None
 
 
 def follow_shard(command: ShardCommand) -> CatalogueOutcome:
-    """Follow the objects of one worker, in its process; messages appear on its standard error."""
+    """Follow the objects of one worker in its process; messages appear on its standard error."""
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     log.setLevel(logging.ERROR)  # the parent reports everything else
     stream = read_stream(command.arguments, command.usage)

@@ -48,7 +48,7 @@ log = logging.getLogger("ahnn")
 BIAS = re.compile(r"^(?=sensors\.[^.=]+\.bias_(sd|memory)=)")
 """Keys of a sensor that options of the group measurement do not set."""
 FILTER, OF_MEASUREMENTS = "plugins=ukf", "plugins=ukf_parameter_error"
-"""Default filters of a run without plugin; the second if least observable parameters were saved."""
+"""Default filters of a run without a plugin; the second if it saved its least observable parameters."""
 
 
 def read_stream(arguments: list[str], usage: str) -> Stream:
@@ -72,7 +72,7 @@ def read_stream(arguments: list[str], usage: str) -> Stream:
 
 
 def require_own_keys(options: AssimilationRequest, nodes: DictConfig) -> None:
-    """Raise UserError for keys without the keys that they need, and for sensors defined twice."""
+    """Raise UserError for keys that contradict `start` or the run, and for sensors defined twice."""
     if options.folder is not None:
         message = f"folder: expected orbit=FILE.yaml with folder={options.folder}; received a run"
         raise UserError(message)
@@ -119,7 +119,7 @@ def with_filter(request: Request, run: Run) -> Request:
 
 
 def _key(text: str) -> str:
-    """Return the top level of a key, or sensors for a group placed there."""
+    """Return the top level of a key, or the target of a group that `@` relocates."""
     key = text.partition("=")[0].lstrip("+~")
     return (key.partition("@")[2] or key).partition(".")[0]
 
@@ -156,7 +156,7 @@ def stations_of_file(file: str, space: Space, reference: Reference) -> dict[str,
     """Return the stations of a file as sensors on the rotating Earth, with the epoch of time zero.
 
     Raises:
-        UserError: no such file, or a station that measures nothing.
+        UserError: the file does not exist, or a station measures nothing.
     """
     angle, found = earth_axes(reference), {}
     for name, entry in read_stations(file).items():
@@ -172,10 +172,10 @@ def _numbers(given: Any) -> Any:
 
 
 def build_process(cfg: DictConfig, run: Run, case: Callable[[], Case], gate: AskedGate) -> Process:
-    """Build the online process of the one plugin that has one, with a gate that opens again.
+    """Build the online process of the only plugin that filters online, with a gate that reopens.
 
     Raises:
-        UserError: no plugin does, or several do.
+        UserError: no plugin or several plugins filter online.
     """
     plugins = build_all(cfg.plugins, "plugins", EvaluationPlugin)
     online = {name: plugin for name, plugin in plugins.items() if hasattr(plugin, "online")}
@@ -271,7 +271,7 @@ def carrier(run: Run) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
 
 
 def turn_stations(nodes: Any, reference: Reference) -> None:
-    """Set `earth_angle` of ground stations that state none, where time zero has an epoch."""
+    """Set `earth_angle` of ground stations without one, if time zero has an epoch."""
     if reference.epoch is None:
         return
     for name, node in nodes.items():

@@ -1,4 +1,4 @@
-"""The gate of a stream: one is on by default, and it opens again."""
+"""Gate of a stream, which is on by default and reopens after consecutive rejections."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from ahnn.errors import UserError
 from ahnn.estimation import Estimator, Gate, RecursiveEstimator
 
 GATE = 0.999999
-"""Default of a stream: one of a million good measurements is rejected."""
+"""Default gate of a stream: one in a million valid measurements is rejected."""
 AskedGate = float | Literal["none"] | None
 
 
 def with_gate(
     estimator: RecursiveEstimator[Any], plugin: object, asked: AskedGate
 ) -> RecursiveEstimator[Any]:
-    """Return an estimator with a gate that reopens; one without a gate is returned unchanged.
+    """Return an estimator with a gate that reopens; one that supports no gate is returned unchanged.
 
     Args:
         estimator: estimator of the plugin, with a gate if configured.
@@ -23,7 +23,7 @@ def with_gate(
         asked: gate of the stream; None: the gate of the estimator, or the default.
 
     Raises:
-        UserError: a gate for an estimator that takes none.
+        UserError: a gate for an estimator that supports none.
     """
     if not hasattr(estimator, "gated"):
         if asked is not None:

@@ -25,7 +25,7 @@ class SweepTable(Callback):
             record(file, digest_of(file.read_bytes()))
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Print the table in job order, marking jobs without results; named folders have their own table."""
+        """Print the table of numbered job folders in job order, marking jobs without results."""
         del kwargs
         from ahnn.evaluation.sweep_summary import sweep_table
         from ahnn.evaluation.terminal import show

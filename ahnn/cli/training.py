@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def train(cfg: DictConfig) -> float:
     """Train with one seed or with several; return the mean of the best validation losses.
 
-    Several `seeds` have separate folders, such as seed_7, inside the run folder; so have `members`, which are
+    Several `seeds` have separate folders, such as seed_7, inside the run folder, as do `members`, which are
     trained together.
     """
     begin(cfg)
@@ -51,7 +51,7 @@ def of_seed(cfg: DictConfig, seed: int) -> DictConfig:
 
 
 def check(cfg: DictConfig) -> None:
-    """Make all checks of a run before data generation; called once before the first trial of a sweep.
+    """Run all checks that precede data generation; called once before the first trial of a sweep.
 
     Raises:
         UserError: an invalid job.

@@ -19,7 +19,7 @@ from hydra.utils import get_object
 from ahnn.errors import UserError
 
 LINK = re.compile(r"\$\{measurement(\.\w+)+\}")
-"""The only stored interpolation: references of a plugin to the group `measurement`."""
+"""The only interpolations that are stored: references of a plugin to the group `measurement`."""
 MEASURES = (("locate", "__call__"), ("residual", "__call__"))
 NEEDED = {
     "system": (("energy", "initial_states"), ("recipe", "steps", "read")),
@@ -27,7 +27,7 @@ NEEDED = {
     "measurement": MEASURES,
     "data": MEASURES,
 }
-"""Attributes required of a class to be built for a node: all of one row."""
+"""Attributes that a class to be built for a node must have: all those in one of the rows."""
 
 
 def require_trusted(path: Path, content: dict[str, Any], nodes: tuple[str, ...]) -> None:
@@ -64,7 +64,7 @@ def is_trusted(target: Any, node: str) -> bool:
         return False
     try:
         found = get_object(target)
-    except Exception:  # any import failure means that it is not trusted
+    except Exception:  # a class that cannot be imported is not trusted
         return False
     if not inspect.isclass(found) or found.__module__.partition(".")[0] not in packages:
         return False

@@ -43,7 +43,7 @@ def _related(one: str, other: str) -> bool:
 
 
 def require_referenced(jobs: Iterable[DictConfig], texts: Iterable[str]) -> None:
-    """Raise UserError for overrides without effect in all of several configurations."""
+    """Raise UserError for an override without effect in every one of several configurations."""
     keys = keys_of(texts)
     for cfg in jobs:
         keys = unreferenced(cfg, keys)

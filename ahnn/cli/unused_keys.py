@@ -32,7 +32,7 @@ SIMULATED = (
     "seed",
     "beside",
 )
-"""Filter keys for evaluations only, and for simulated measurements in fits of process noise."""
+"""Filter keys that only evaluations and fits of process noise to simulated measurements use."""
 Unread = Iterator[tuple[str, str]]
 """Keys, with the reason why they are not read."""
 
@@ -76,7 +76,7 @@ def refuse(found: Iterable[tuple[str, str]], texts: Iterable[str]) -> None:
 
 
 def unread_of_data(cfg: DictConfig, source: Source, sensor: Sensor | None) -> Unread:
-    """Yield the keys that a source of trajectories and its evaluation leave unread."""
+    """Yield the keys that a source of trajectories and its evaluation do not read."""
     simulated = isinstance(source, Simulated)
     drawn = simulated or (sensor is not None and not isinstance(sensor, Recorded))
     yield from unless(
@@ -92,7 +92,7 @@ def unread_of_data(cfg: DictConfig, source: Source, sensor: Sensor | None) -> Un
 
 
 def unread_of_training(cfg: DictConfig, prepared: Prepared, *, several: bool) -> Unread:
-    """Yield the keys that model, optimiser and trainer leave unread; `several` for several seeds."""
+    """Yield the keys that model, optimiser and trainer do not read; `several` for several seeds."""
     automatic, staged = prepared.model.stepper.automatic, prepared.data.stages is not None
     rolled = OmegaConf.select(cfg, "callbacks.rollout.count") != 0
     clipped = bool(cfg.trainer.get("gradient_clip_val"))
@@ -136,12 +136,12 @@ def unread_of_plugins(nodes: DictConfig) -> Unread:
 
 
 def unread_online(nodes: DictConfig, *, covariance: bool, named: bool = False) -> Unread:
-    """Yield the keys that a stream leaves unread.
+    """Yield the keys that a stream does not read.
 
     Args:
         nodes: filter nodes.
         covariance: whether the covariance of the weights is known.
-        named: whether sensors are named, instead of the sensor of the run.
+        named: whether named sensors replace the sensor of the run.
     """
     yield from (found for found in unread_of_plugins(nodes) if not found[0].endswith(".patience"))
     noises = [options.get("process_noise") for _, options in of_plugins(nodes)]
@@ -165,5 +165,5 @@ def _is_fitted(noise: Any, *, covariance: bool) -> bool:
 
 
 def unless(*rows: tuple[str, bool, str]) -> Unread:
-    """Yield the unread keys of rows, with the reason."""
+    """Yield key and reason of each row (key, whether it is read, reason) whose key is not read."""
     yield from ((name, reason) for name, is_read, reason in rows if not is_read)

@@ -24,7 +24,7 @@ SIGMAS = (1, 2, 3)
 NORMAL = tuple(math.erf(k / math.sqrt(2)) for k in SIGMAS)
 """Coverage of the bands for normal errors."""
 ROWS = 20_000
-"""Approximate number of tested errors over all trajectories: neighbouring errors are redundant."""
+"""Approximate number of errors tested over all trajectories, since neighbouring errors are redundant."""
 
 
 class Band(NamedTuple):
@@ -33,12 +33,13 @@ class Band(NamedTuple):
     Attributes:
         deviations: (B, T, D) standard deviations.
         coverage: fractions of components of unseen states within 1, 2 and 3 standard deviations.
-        test: test of their width along the independent directions of the errors.
+        test: test of the band widths along the independent directions of the errors.
         expected: expected rms norms of position and velocity errors.
         bound: expected errors from noise only: the Cramer-Rao bound of the regularised parameters.
         efficiency: rms norms of the errors in units of that bound.
-        usual: central 95 % range of this efficiency in training runs at the bound.
-        single: errors of the first trajectory at a quarter, half and all of its time, in standard deviations.
+        usual: central 95 % range of this efficiency in training runs that attain the bound.
+        single: errors of the first trajectory after a quarter, half and all of its duration, in standard
+            deviations.
     """
 
     deviations: Tensor
@@ -60,7 +61,7 @@ class Band(NamedTuple):
         )
 
     def verdict(self) -> str:
-        """Return whether the bands are right, for the verdict; "" with too few independent directions."""
+        """Return the finding on the bands for the verdict; "" with too few independent directions."""
         told = self.test.verdict
         found = f"prediction bands are {told}: errors are {self.test.scatter:.2f} standard deviations"
         return "" if told == TOO_FEW else found
@@ -98,7 +99,7 @@ def banded(case: Case, uncertainty: Uncertainty, prediction: Tensor) -> Band:
 
     test = direction_test(tested())
     deviations, alone = (torch.cat(some).sqrt() for some in zip(*parts, strict=True))
-    alone = alone / uncertainty.inflation**0.5  # both include the inflation; `alone` omits the offset
+    alone = alone / uncertainty.inflation**0.5  # without inflation; `alone` also omits the offset
     bound = norms(alone.where(there, torch.nan), case.space.divisor)
     real = norms(off, case.space.divisor)
     later, band = off[:, 1:].abs(), deviations[:, 1:]
@@ -125,7 +126,7 @@ def percent(shares: tuple[float, ...]) -> str:
 
 
 def norms(values: Tensor, divisor: float | Tensor) -> tuple[float, float]:
-    """Return the rms norm over trajectories and times of the positions and velocities in (B, T, D)."""
+    """Return the rms norms of positions and velocities over trajectories and times, from (B, T, D)."""
     position, momentum = values.chunk(2, dim=-1)
     rms = (float(block.square().sum(-1).nanmean().sqrt()) for block in (position, momentum / divisor))
     return next(rms), next(rms)

@@ -19,13 +19,13 @@ EXACT = 1e-4
 AT_FLOOR = 1.5
 """Multiple of the floor's error up to which a model is as accurate as perfect knowledge."""
 PAIRS = 200_000
-"""Maximum number of steps to which a linear map is fitted."""
+"""Approximate maximum number of steps to which a linear map is fitted."""
 
 
 class Worth(NamedTuple):
     """Relative errors of prediction and baselines: rms in standard deviations of the data.
 
-    Mean over trajectories, as for the errors in the table; rms over samples and components.
+    The rms over samples and components is averaged over trajectories, as for the errors in the table.
 
     Attributes:
         model: error of the prediction.
@@ -47,7 +47,7 @@ class Worth(NamedTuple):
 
     @property
     def at_floor(self) -> bool:
-        """Whether neither the exact equations nor a linear map is more accurate: chaos, or a long step."""
+        """Whether neither the exact equations nor a linear map is more accurate: chaos, or long steps."""
         return self.floor is not None and self.model <= AT_FLOOR * self.floor and not self.below_linear
 
     @property
@@ -73,7 +73,7 @@ class Worth(NamedTuple):
 
 
 def amount(error: float) -> str:
-    """Format a relative error in percent; non-finite errors are shown as diverged."""
+    """Format a relative error in percent; a non-finite error is shown as infinite."""
     return in_percent(error) if error < 100 else "over 10,000 %" if math.isfinite(error) else "infinite"
 
 

@@ -31,7 +31,7 @@ known, the state that best fits them.
 
 @dataclass(frozen=True)
 class Case:
-    """A trained model on the unseen trajectories of its system; all tensors float64 on the CPU.
+    """A trained model and the unseen trajectories of its system; all tensors are float64 on the CPU.
 
     Attributes:
         label: name of the model in tables.
@@ -58,7 +58,7 @@ class Case:
         outliers: fraction of these measurements excluded as outliers.
         noise: noise of the measurements, if estimated in training.
         remark: remark on the test trajectories; "" if they belong to the training data.
-        caveat: reason why the training cannot have made a good model; "" without one.
+        caveat: reason why the training cannot have produced a good model; "" without one.
     """
 
     label: str
@@ -103,7 +103,7 @@ class Case:
 
     @property
     def longest(self) -> float:
-        """Maximum step of the flow; for recorded measurements the step of the training, possibly shorter."""
+        """Maximum step of the flow: that of the training for recorded measurements, otherwise infinite."""
         return math.inf if self.fitted is None or self.measured is None else self.measured.instrument.longest
 
     @cached_property
@@ -121,12 +121,12 @@ class Case:
 
 
 class Who(NamedTuple):
-    """Identity of a row, structured instead of a string to be parsed.
+    """Identity of a row as separate fields, so that no string has to be parsed.
 
     Attributes:
         process: process model: `model`, or the name of a floor such as `exact field, rk4`.
         start: start of the prediction.
-        estimator: estimator of measurements, such as `ukf`; None for a pure prediction.
+        estimator: estimator that uses measurements, such as `ukf`; None for a pure prediction.
         span: `whole`, or `settled`: after the first update.
         floor: whether the row is a floor, computed with perfect knowledge.
     """
@@ -182,7 +182,7 @@ class Findings:
 
 @runtime_checkable
 class EvaluationPlugin(Protocol):
-    """Evaluation run after training; plugins are named in and built from YAML."""
+    """Evaluation that runs after training; plugins are configured in YAML."""
 
     def check(self, truth: System | None, space: Space, steps: int) -> None:
         """Raise UserError for options incompatible with the data; called before training."""

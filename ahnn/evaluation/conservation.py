@@ -26,19 +26,19 @@ IN_PART = 2.0
 EMPTY = 0.05
 """Fraction of the squared energy below which a part is too quiet to show a trend."""
 SURE = 6.0
-"""Standard errors beyond which a trend is significant."""
+"""Number of standard errors beyond which a trend is significant."""
 NOTABLE = 0.02
 """Minimum reported gain or loss of a trajectory, as a fraction of the energy above its minimum."""
 COMMON = 0.5
-"""Fraction of model residuals common to all trajectories at equal times that indicates time dependence."""
+"""Minimum variance fraction, common to all trajectories at a given time, that shows time dependence."""
 MISSED = 1e-3
-"""Minimum reported model residual per step, as a fraction of the steps."""
+"""Minimum rms model residual of a step that is reported, as a fraction of the rms step."""
 TOGETHER = 0.9
 """Fraction of the state variance explained by time above which state and time are indistinguishable."""
 DEGREE = 4
-"""Degree of the polynomials of the state first fitted to model residuals."""
+"""Maximum degree of the polynomial of the state that is subtracted from model residuals."""
 FEATURES = 150
-"""Maximum number of such polynomials."""
+"""Maximum number of terms of this polynomial."""
 
 
 class Trend(NamedTuple):
@@ -150,10 +150,10 @@ def slope(values: Tensor, times: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def time_test(case: Case) -> TimeTest | None:
-    """Test the test trajectories for explicit time dependence; None if inconclusive.
+    """Check the test trajectories for explicit time dependence; None if inconclusive.
 
     One-step residuals minus their best-fitting polynomial of the state are compared with their mean over
-    trajectories at each time. For synchronous trajectories state and time dependence are indistinguishable.
+    trajectories at each time. If trajectories are synchronous, state and time are indistinguishable.
     """
     states, times = case.test.states, case.test.times
     if clock_of(case.flow) or isinstance(case.dt, Tensor) or len(states) < PIECES:

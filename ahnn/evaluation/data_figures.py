@@ -29,16 +29,16 @@ LOOKS = tuple(
 )
 """Line styles of the components."""
 LINES, BINS = 40, 80
-"""Maximum number of lines for findings; above it, their number in each of so many bins is drawn."""
+"""Maximum number of findings drawn as lines, and number of bins of the histogram that replaces more lines."""
 NAMED = 8
-"""Maximum number of findings with their row beside them."""
+"""Maximum number of findings labelled with their row."""
 
 
 def draw(found: Examined, folder: Path) -> None:
     """Write a figure of each file into a folder.
 
     Raises:
-        UserError: the folder contains other files of these names.
+        UserError: the folder contains other files with these names.
     """
     files = [content.tracks[0].file for content in found.contents]
     names = [Path(file).name for file in files]
@@ -52,11 +52,10 @@ def draw(found: Examined, folder: Path) -> None:
 
 
 def picture(content: Content, findings: list[Finding]) -> Figure:
-    """Plot positions and stated velocities with the findings on them.
+    """Plot positions and stated velocities, with marks for the findings.
 
-    A finding on a single value is marked by a ring. Other findings are marked by a line at their time, or
-    counted in a separate panel if there are many. Velocities from position differences are drawn beside the
-    stated ones.
+    A ring marks a finding on a single value. A line at its time marks any other finding; if there are many,
+    a separate panel counts them. Velocities from position differences are drawn with the stated ones.
     """
     shown = content.tracks[:CURVES]
     names = (*content.positions, *content.rates)

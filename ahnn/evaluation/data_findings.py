@@ -13,7 +13,7 @@ from ahnn.data.files.content import Content
 
 LEVELS = ("fault", "warning", "note")
 SHOWN = 5
-"""Maximum number of findings of a kind listed in the table; more are counted."""
+"""Maximum number of similar findings listed in the table; the rest are counted."""
 
 
 def checkup(found: Examined) -> RenderableType:
@@ -55,7 +55,7 @@ def columns(content: Content) -> str:
 
 
 def shortened(findings: list[Finding]) -> Iterator[tuple[str, str, str, str, str]]:
-    """Yield the table cells of findings, abbreviating similar ones by a count."""
+    """Yield the table cells of findings, with a count in place of similar ones beyond `SHOWN`."""
     kinds: dict[tuple[str, str, str], list[Finding]] = {}
     for one in findings:
         kinds.setdefault((one.file, one.column, one.remedy), []).append(one)

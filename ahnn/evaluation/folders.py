@@ -50,7 +50,7 @@ def evaluation_folder(run: Path, name: str | None = None) -> Iterator[Path]:
 
 
 def require_unfinished(folder: Path) -> None:
-    """Raise UserError for the folder of a finished evaluation, or a foreign folder."""
+    """Raise UserError for the folder of a finished evaluation, or a folder with files of other origin."""
     if folder.is_symlink() or (folder / FILE).exists():
         message = f"evaluation {folder.name}: expected a new name; received the name of {folder}"
         raise UserError(message)
@@ -58,7 +58,7 @@ def require_unfinished(folder: Path) -> None:
 
 
 def _made(folder: Path) -> Path:
-    """Return the folder of this name, new or left by an unfinished evaluation."""
+    """Return a folder that is either new or left by an unfinished evaluation."""
     require_unfinished(folder)
     folder.mkdir(exist_ok=True)
     return folder

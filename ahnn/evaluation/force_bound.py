@@ -134,7 +134,7 @@ def information_of(system: System, names: Sequence[str], start: Tensor, segment:
 
 
 def information(of_constants: Tensor, of_start: Tensor) -> Tensor:
-    """Return the information (P, P) of P constants with the initial states of B trajectories eliminated.
+    """Return the information (P, P) about P constants, with the initial states of B trajectories eliminated.
 
     Args:
         of_constants: derivatives of residuals in standard deviations, (B, R, P).
@@ -188,7 +188,7 @@ def derivatives(
 
 
 def pad_to(moves: Tensor, width: int) -> Tensor:
-    """Pad displacements to a number of columns with zeros."""
+    """Pad displacements with zeros to a number of columns."""
     return torch.nn.functional.pad(moves, (0, width - moves.shape[1]))
 
 

@@ -29,9 +29,9 @@ from ahnn.uncertainty import forecast_columns
 HALF = 0.5
 """Fraction of the measurements of a trajectory to which the start of its forecast is fitted."""
 DRAWS, MIDDLE = 200, 0.95
-"""Draws of all causes for the coverage of calibrated bands, and the central fraction reported."""
+"""Number of draws for the coverage of calibrated bands, and the central fraction reported."""
 PARTS = (0.2, 0.4, 1.0)
-"""Parts of the forecast after which it is also tested separately."""
+"""Fractions of the forecast after which it is also tested separately."""
 
 
 class Forecast(NamedTuple):
@@ -42,15 +42,14 @@ class Forecast(NamedTuple):
         width: rms of these standard deviations, relative to the noise; if close to 1, little but the noise
             was tested.
         parameters: mean fraction of the variance of forecast states due to the parameters.
-        states: fractions for the components of true states; None if these are unknown.
+        states: the same fractions for components of true states; None if these are unknown.
         right: range of the coverage of calibrated bands in the central 95 % of draws.
-        lost: number of trajectories for whose first half no start could be fitted; they are excluded from all
-            other values.
+        lost: number of trajectories whose first half no start fits; all other values exclude them.
         trajectories: number of trajectories tried.
         outliers: fraction of the measured values that were excluded as outliers.
         single: errors of the true states of the first trajectory after `PARTS` of its forecast, in standard
             deviations; None if these are unknown.
-        parts: fractions of the true states of all trajectories after these parts within 1, 2 and 3.
+        parts: coverage of the true states of all trajectories after each of these parts.
     """
 
     coverage: tuple[float, ...]
@@ -107,8 +106,8 @@ def forecast(
         dynamics: float64 dynamics with a field.
         segment: measurements not used in training.
         spread: L, shape (P, R); L L^T is the covariance of the parameters.
-        robust: robust loss of the training. With such a loss outliers are excluded here: in the first half
-            values far from the robust fit, in the second half values far from the forecast.
+        robust: robust loss of the training. With one, outliers are excluded: in the first half values far
+            from the robust fit, in the second half values far from the forecast.
         truth: true states of the trajectories, at these and possibly other times.
         fitted: fraction of the measurements of a trajectory to which its start is fitted.
     """
@@ -206,7 +205,7 @@ def held(off: Tensor, sd: Tensor) -> Tensor:
     """Return how many of the errors (n, DRAWS) lie within each band in each draw, shape (3, DRAWS).
 
     Bands are multiples of the standard deviations (n, 1). Errors of one training run are correlated: if
-    nearly all lie along one direction, a calibrated band contains nearly all of them or few.
+    nearly all lie along one direction, a calibrated band contains either nearly all or few of them.
     """
     return torch.stack([(off.abs() <= k * sd).sum(0) for k in SIGMAS])
 
@@ -218,7 +217,7 @@ def middle(shares: Tensor) -> tuple[tuple[float, float], ...]:
 
 
 def right_bands(shares: tuple[float, ...], right: tuple[tuple[float, float], ...]) -> str:
-    """Format the coverage of calibrated bands and the conclusion; without one, no coverage."""
+    """Format the coverage of calibrated bands and the conclusion; only the latter if it is undecided."""
     verdict = judged(shares, right)
     if verdict == TOO_FEW:
         return verdict
@@ -227,7 +226,7 @@ def right_bands(shares: tuple[float, ...], right: tuple[tuple[float, float], ...
 
 
 def judged(shares: tuple[float, ...], right: tuple[tuple[float, float], ...]) -> str:
-    """Return a verdict on the coverage within 2 sigma; none where half the width would also pass."""
+    """Return a verdict on the coverage within 2 sigma; undecided if half the width would also pass."""
     low, high = right[1]
     if low <= NORMAL[0]:
         return TOO_FEW
@@ -248,14 +247,14 @@ def after_parts(values: Tensor, early: Tensor) -> Tensor:
 
 
 def part_fitted(dynamics: Dynamics, segment: Segment, early: Tensor, robust: RobustName) -> Segment:
-    """Return early measurements, (B, K + 1), up to the last of these times, without outliers."""
+    """Return the measurements at early times (B, K + 1), cut after the last of them, without outliers."""
     last = max(int(early.any(0).sum()) - 1, 1)
     part = segment._replace(values=segment.values.masked_fill(~early.unsqueeze(-1), torch.nan)).first(last)
     return without_outliers(dynamics, part, robust)
 
 
 def resolved_path(dynamics: Dynamics, starts: Tensor, first: Segment, part: Segment) -> tuple[Tensor, Steps]:
-    """Return the path over a segment and its steps; where these are coarse, quarters, from refitted starts.
+    """Return the path over a segment and its steps; if they are coarse, quarters with refitted starts.
 
     Args:
         dynamics: float64 dynamics with a field.
@@ -284,5 +283,5 @@ def at(truth: Trajectories, rows: Tensor, times: Tensor) -> Tensor:
 
 
 def shares(off: Tensor) -> tuple[float, ...]:
-    """Return the fractions of normalised errors within 1, 2 and 3; NaN is outside."""
+    """Return the fractions of normalised errors within 1, 2 and 3; NaN counts as outside."""
     return tuple(float((off.abs() <= k).double().mean()) for k in SIGMAS)

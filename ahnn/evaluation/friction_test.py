@@ -1,4 +1,4 @@
-"""Test for friction in measurements that a model lacks."""
+"""Test whether measurements show friction that a model lacks."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from ahnn.shooting.path_sensitivities import steps_between
 from ahnn.shooting.robust import ROBUST
 
 INTERVALS = 12
-"""Number of intervals per segment, short enough for inaccurate dynamics to fit."""
+"""Number of intervals per segment, few enough for inaccurate dynamics to fit."""
 MOST = 0.3
-"""Minimum fraction of excess chi-square explained by friction, since other errors resemble it slightly."""
+"""Minimum fraction of excess chi-square explained by friction; other errors may resemble it slightly."""
 SMALL = 0.05
-"""Decay over such a segment used in the comparison of chi-square."""
+"""Decay of momenta over such a segment for which chi-square is compared."""
 
 
 class FrictionTest(NamedTuple):
@@ -64,7 +64,7 @@ def friction_test(flow: Any, measured: Segment) -> FrictionTest | None:
     """Estimate the additional friction of measurements relative to a flow; None if inconclusive.
 
     On short segments with refitted initial states, chi-square is compared for slightly decaying, unchanged
-    and slightly growing momenta: one step of Newton's method, with the scatter of segments as its error.
+    and slightly growing momenta. One Newton step yields the rate, the scatter of the segments its error.
     """
     if clock_of(flow) or not conserves(flow):
         return None
@@ -95,7 +95,7 @@ def friction_test(flow: Any, measured: Segment) -> FrictionTest | None:
 
 
 def decaying(flow: Any, rate: float) -> Trial:
-    """Return a flow whose momenta decay at a given rate after each step."""
+    """Return the trial of a flow with an additional decay of the momenta at a given rate."""
 
     def increment(x: Tensor, dt: Tensor) -> Tensor:
         q, p = flow(x, dt).chunk(2, dim=-1)
@@ -106,7 +106,7 @@ def decaying(flow: Any, rate: float) -> Trial:
 
 
 def shorter(segment: Segment, intervals: int) -> Segment:
-    """Split segments into consecutive segments of given length; a remainder is omitted."""
+    """Split trajectories into consecutive segments of a given number of intervals, without a remainder."""
     samples = intervals + 1
     count = segment.values.shape[1] // samples
     if count == 0:

@@ -20,23 +20,23 @@ from ahnn.shooting.path_sensitivities import Steps, steps_between
 from ahnn.shooting.robust import ROBUST, Robust, RobustName, loss_of
 
 NORMAL95 = 1.959963984540054
-"""Standard deviations of the central 95 % of a normal distribution."""
+"""Half-width of the central 95 % of a normal distribution, in standard deviations."""
 OUTLYING = 6.0
-"""Standard deviations beyond which a value is an outlier, if training used a robust loss."""
+"""Number of standard deviations beyond which a value is an outlier, if training used a robust loss."""
 
 
 class Explained(NamedTuple):
     """Goodness of fit of paths from fitted initial states.
 
     Attributes:
-        chi_square: squared residuals per degree of freedom, in standard deviations; 1 for pure noise.
+        chi_square: chi-square of the residuals per degree of freedom; 1 for pure noise.
         band: 95 % interval for pure noise.
         correlation: serial correlation of residuals; 0 for pure noise.
         correlation_band: half-width of its 95 % interval about 0.
         lost: number of trajectories that cannot be fitted, excluded from all other values.
         trajectories: number of trajectories tried.
         outliers: fraction of measured values excluded as outliers.
-        halved_steps: chi-square of the field with halved steps; None without a field.
+        halved_steps: the same chi-square with steps of half the length; None without a field.
     """
 
     chi_square: float
@@ -92,7 +92,7 @@ def fit_to(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") -
     Args:
         dynamics: float64 dynamics with a method `increment`.
         segment: measurements not used in training.
-        robust: robust loss of residuals; Student's noise has its own.
+        robust: robust loss of residuals; unused for Student's noise, which has its own likelihood.
     """
     steps = steps_between(segment.times, segment.instrument.longest)
     trial = trial_of(dynamics, loss_of(robust, segment.instrument.freedom))
@@ -108,7 +108,7 @@ def without_outliers(dynamics: nn.Module, segment: Segment, robust: RobustName) 
 def cleaned(segment: Segment, fitted: Fitted, steps: Steps, robust: RobustName) -> Segment:
     """Return measurements without those far from a robustly fitted path; Student's noise has no outliers.
 
-    Where half of the values of a trajectory are far, the path is wrong, not the values, which are kept.
+    If at least half of the values of a trajectory are far, the path is wrong, and the values are kept.
     """
     if robust == "none" or segment.instrument.freedom is not None:
         return segment
@@ -130,7 +130,7 @@ def explain(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") 
     Args:
         dynamics: float64 dynamics with a method `increment`.
         segment: measurements not used in training.
-        robust: robust loss of the training, with which outliers are excluded here.
+        robust: robust loss of the training; with one, outliers are excluded.
     """
     given, segment = segment, without_outliers(dynamics, segment, robust)
     fitted, steps = fit_to(dynamics, segment)

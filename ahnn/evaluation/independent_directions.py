@@ -1,12 +1,13 @@
-"""Test whether bands are as wide as errors, along independent directions: errors of a run are correlated.
+"""Test whether bands are as wide as errors, along independent directions, since errors in a run correlate.
 
-With W the sensitivities of all states, in their standard deviations, to independent causes of variance 1,
-calibrated bands mean errors W eta with eta ~ N(0, I). Along an eigenvector v of W^T W with the eigenvalue s^2
-the errors e are z = v^T W^T e / s^2 ~ N(0, 1), independently: the sum of z^2 over k directions is chi-square.
+Let W be the sensitivities of all states, in their standard deviations, to independent causes of variance 1.
+If bands are calibrated, the errors are e = W eta with eta ~ N(0, I). Each eigenvector v of W^T W, with the
+eigenvalue s^2, then gives an independent z = v^T W^T e / s^2 ~ N(0, 1), and the sum of z^2 over k directions
+has a chi-square distribution.
 
-The rms error divided by the bound weights directions by their variance: with W in units of the state it is
-(sum s^2 z^2 / sum s^2)^1/2. Where few directions have most of the variance it scatters widely, and it is
-below 1 in more than half of the training runs at the bound.
+The ratio of rms error and bound weights directions by their variance: with W in units of the state it is
+(sum s^2 z^2 / sum s^2)^1/2. If few directions have most of the variance, this ratio scatters widely and is
+below 1 in more than half of the training runs that attain the bound.
 """
 
 from __future__ import annotations
@@ -20,15 +21,15 @@ from torch import Tensor
 from ahnn.numbers import chi_square_quantile
 
 VARIANCE = 0.99
-"""Fraction of the variance of the bands due to these directions; the rest hardly affects the bands."""
+"""Fraction of the variance of the bands in the tested directions; the others hardly affect the bands."""
 MIDDLE = 0.95
 """Fraction of training runs with calibrated bands that lie within the interval."""
 TOO_FEW = "too few independent directions to tell"
-"""Verdict where calibrated bands have so wide an interval that it is no test."""
+"""Verdict if the interval for calibrated bands is too wide for a test."""
 LEAST = 1e-4
 """Maximum fraction of the variance that the ratio of error and bound omits."""
 HALF = 0.5
-"""An interval that admits bands of half or twice the correct width is no test."""
+"""If the interval begins below this value, bands of twice the correct width would pass the test."""
 
 
 DRAWS = 20_000
@@ -101,7 +102,7 @@ def ratio_interval(matrix: Tensor) -> tuple[float, float]:
 
 
 def ratio_draws(matrix: Tensor) -> Tensor:
-    """Return `DRAWS` ratios of rms error and bound at the bound, from W^T W, shape (R, R)."""
+    """Return `DRAWS` ratios of rms error and bound for runs at the bound, from W^T W, shape (R, R)."""
     sizes = torch.linalg.eigvalsh(matrix.double()).clamp(min=0)
     parts = sizes / sizes.sum()
     squares = torch.zeros(DRAWS, dtype=torch.float64)
@@ -112,7 +113,7 @@ def ratio_draws(matrix: Tensor) -> Tensor:
 
 
 def together(tests: Sequence[DirectionTest]) -> DirectionTest:
-    """Return one test of several independent training runs."""
+    """Combine the tests of several independent training runs into one."""
     count = sum(test.directions for test in tests)
     squares = sum(test.directions * test.scatter**2 for test in tests)
     return DirectionTest(count, (squares / count) ** 0.5)

@@ -45,14 +45,14 @@ def make_case(
         dynamics: learned dynamics, in float64 on the CPU.
         data: data with training, validation and test splits.
         label: name in tables.
-        seed: seed of the initial errors.
+        seed: seed for the initial errors.
         folder: output folder.
         uncertainty: covariance of the parameters, if available.
         domain: representative training states, if available.
         robust: robust loss of the training.
         noise: measurement noise from the metadata of the weights, if the training estimated it.
         remark: remark on the data, for the table.
-        caveat: reason why the training cannot have made a good model.
+        caveat: reason why the training cannot have produced a good model.
     """
     source, truth = data.source, data.source.truth
     estimate = None if noise is None or data.sensor is None else read("noise", NoiseEstimate, noise)
@@ -117,7 +117,7 @@ def measured_test(data: SplitData, noise: NoiseEstimate | None) -> Segment | Non
 
 
 def instrument_of(data: SplitData, noise: NoiseEstimate | None) -> Instrument:
-    """Return the instrument, with the noise estimated in training; raises the errors of `applied`."""
+    """Return the instrument, with any noise estimated in training; raises the same errors as `applied`."""
     assert data.sensor is not None
     found = data.instrument()
     return found if noise is None else noise.applied(found, data.sensor.unknown)

@@ -20,7 +20,7 @@ class Floor(NamedTuple):
     """Floor: perfect knowledge in place of a model.
 
     Attributes:
-        who: identity of its row.
+        who: identity of the floor's row in the results.
         flow: the exact flow, or the exact field with an integrator.
     """
 
@@ -47,9 +47,9 @@ class Integrated(NamedTuple):
 def floors(case: Case) -> dict[Start, Floor]:
     """Return the floor of each start of a case; empty without known equations.
 
-    From the true start the floor is the exact field with the model's integrator, rk4 for a map: the error of
-    the integrator. From the perturbed start it is the exact flow: the error of the perturbation, unavoidable
-    for any model.
+    From the true start the floor is the exact field with the model's integrator (rk4 for a map); its error is
+    that of the integrator. From the perturbed start it is the exact flow; its error is that of the
+    perturbation, which no model can avoid.
     """
     if case.truth is None:
         return {}
@@ -99,7 +99,7 @@ def _lost(case: Case, prediction: Tensor) -> int:
 
 
 def _drift(energy: Callable[[Tensor], Tensor] | None, prediction: Tensor) -> dict[str, float]:
-    """Return the rms over trajectories and times of H_theta(x^_k) - H_theta(x^_0); None without H_theta."""
+    """Return the rms over trajectories and times of H_theta(x^_k) - H_theta(x^_0); {} without H_theta."""
     if energy is None:
         return {}
     values = energy(prediction)

@@ -39,7 +39,7 @@ def commit(root: Path) -> str | None:
     """Return the commit of a checkout, with `-dirty` for modified files; None for other folders."""
     if not (root / ".git").exists():
         return None
-    # `git describe --dirty` locks the index; if killed with this process it would leave the lock behind.
+    # `git describe --dirty` locks the index and would leave the lock behind if killed with this process.
     status = ["git", "-C", str(root), "--no-optional-locks", "status", "--porcelain=v2", "--branch", "-uno"]
     try:
         done = subprocess.run(status, capture_output=True, text=True, timeout=5, check=True)

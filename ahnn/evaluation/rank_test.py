@@ -1,8 +1,8 @@
 """Simulation-based calibration: over draws of truth and data, ranks in calibrated bands are uniform.
 
 The rank of a true number among infinitely many draws of a band is Phi(error / sd) (Cook, Gelman & Rubin 2006,
-J. Comput. Graph. Stat. 15, 675-692). Ranks of one training run are dependent: a test uses one rank of each
-run.
+J. Comput. Graph. Stat. 15, 675-692). Ranks from one training run are dependent: a test uses one rank from
+each run.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ REFUSED = 0.05
 DRAWS = 20
 """With fewer draws, ranks that pass the test mean little."""
 Score = Mapping[str, Mapping[str, Any]]
-"""Numbers `uncertainty` and `forecast` of metrics.json."""
+"""Entries `uncertainty` and `forecast` of metrics.json."""
 
 
 def ranks(scores: Sequence[Score]) -> dict[str, list[float]]:
@@ -47,7 +47,7 @@ def uniformity(values: Sequence[float]) -> float:
 
 
 def rank_table(scores: Sequence[Score]) -> str:
-    """Return a line for each quantity, and the conclusion from all draws."""
+    """Return a table with a line for each quantity, and the conclusion from all draws."""
     lines = [f"  {'ranks of one trajectory':<26}{'draws':>7}{'mean':>8}{'uniform, p':>12}"]
     every = {name: (uniformity(values), values) for name, values in ranks(scores).items()}
     for name, (p, values) in every.items():

@@ -14,22 +14,22 @@ from ahnn.numbers import in_percent
 from ahnn.shooting.robust import RobustName
 
 SURE = 4.0
-"""Standard errors beyond which a finding is significant."""
+"""Number of standard errors beyond which a finding is significant."""
 EXPLAINED = 0.05
-"""Fraction of residual variance explained by the state that indicates wrong dynamics; doubled if neighbours
-are uncorrelated, for example a quarter of a period apart.
+"""Fraction of the residual variance explained by the state above which the dynamics are wrong; doubled if
+successive residuals are uncorrelated, for example a quarter of a period apart.
 """
 COLOURED, BIASED = 0.15, 0.2
-"""Minimum reported neighbour correlation, and constant offset in standard deviations."""
+"""Minimum reported correlation of successive residuals, and constant offset in standard deviations."""
 OFF = 1.4
-"""Minimum reported factor between data.noise and the actual noise: bands are wrong by the same factor."""
+"""Minimum reported factor between data.noise and the actual noise; bands are wrong by the same factor."""
 FEW = 1e-3
-"""Minimum reported fraction of outliers; for normal values it is 6e-5."""
+"""Minimum reported fraction of outliers; normal noise has 6e-5."""
 
 
 @torch.no_grad()
 def remedy(dynamics: nn.Module, segment: Segment, robust: RobustName) -> str:
-    """Diagnose the residuals of robustly fitted paths, with a remedy; "" if none.
+    """Diagnose the residuals of robustly fitted paths, with remedies; "" without a finding.
 
     Args:
         dynamics: float64 dynamics with a method `increment`.
@@ -123,7 +123,7 @@ def _colour(found: ResidualTests, names: tuple[str, ...], coloured: Tensor, inte
 
 
 def _biases(found: ResidualTests, names: tuple[str, ...], coloured: Tensor) -> list[str]:
-    """Return remarks on biases common to all measurements, and constant in each trajectory."""
+    """Return remarks on a bias common to all measurements, and on one that differs between trajectories."""
     correlation = torch.where(coloured, found.correlation.clamp(0, 0.99), 0)
     chance = (1 + correlation) / (1 - correlation)
     count = max(found.trajectories, 2)

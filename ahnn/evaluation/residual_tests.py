@@ -1,8 +1,8 @@
 """Tests of residuals for deviations from white noise: bias, colour, outliers, level, wrong dynamics.
 
 Residuals of paths fitted to individual trajectories contain noise and model errors. Cross-validation over
-trajectories separates them: noise is independent between trajectories, while model errors are one function of
-the state.
+trajectories separates them: noise is independent between trajectories, while model errors are the same
+function of the state in all of them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ahnn.data.noise_floor import NORMAL
 FOLDS, RIDGE = 4, 1e-6
 """Number of cross-validation groups of trajectories; ridge of the regression, relative to mean squares."""
 FAR = 4.0
-"""Standard deviations beyond which a fraction of 6e-5 of normal values lies."""
+"""Number of standard deviations beyond which a fraction of 6e-5 of normal values lies."""
 
 
 class ResidualTests(NamedTuple):
@@ -27,13 +27,12 @@ class ResidualTests(NamedTuple):
         scale: (M,) robust standard deviation about the mean of each trajectory.
         explained: (M,) fraction of the variance within trajectories that a quadratic function of the state
             and of time, fitted to other trajectories, explains; 0 or less without predictive power.
-        correlation: (M,) correlation of neighbours within trajectories.
-        pairs: (M,) number of neighbour pairs.
-        bias: (M,) mean over trajectories of their means.
-        bias_error: (M,) its standard error, from the scatter of trajectories.
+        correlation: (M,) correlation of successive residuals within trajectories.
+        pairs: (M,) number of pairs of successive residuals.
+        bias: (M,) mean over trajectories of the trajectory means.
+        bias_error: (M,) standard error of the bias, from the scatter of the trajectory means.
         spread: (M,) standard deviation of constant offsets of trajectories, minus the contribution of noise.
-        spread_ratio: (M,) variance of the means of trajectories, divided by the variance of means of the
-            noise.
+        spread_ratio: (M,) variance of the trajectory means, divided by their variance from noise alone.
         tails: (M,) fraction of values beyond four robust standard deviations.
         trajectories: number of trajectories.
     """
@@ -93,7 +92,7 @@ def _of_means(means: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _features(states: Tensor, times: Tensor) -> Tensor:
-    """Return states, their products, and both times powers of time, (B, K, F), minus row means."""
+    """Return states and their products, times powers of time up to 2, minus trajectory means, (B, K, F)."""
     flat = states.flatten(0, 1)
     z = (states - flat.mean(0)) / flat.std(0).clamp(min=torch.finfo(flat.dtype).tiny)
     products = (z.unsqueeze(-1) * z.unsqueeze(-2))[..., *torch.triu_indices(z.shape[-1], z.shape[-1])]

@@ -20,7 +20,7 @@ SCHEMA = 2
 
 FILE = "metrics.json"
 NOT_FINITE = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
-"""Text replacements of numbers not allowed in strict JSON."""
+"""Strings that replace numbers not allowed in strict JSON."""
 
 
 class Results(NamedTuple):
@@ -30,7 +30,7 @@ class Results(NamedTuple):
         label: name of the model in tables.
         assumes: prior knowledge of the dynamics assumed by the model.
         space: description of the state components.
-        rows: scores, each with its identity.
+        rows: scores, with the identity of each row.
         training: training information, such as `seed`, `window`, `val_loss` and `seconds`.
         numbers: additional numbers of each plugin, by plugin name.
         about: versions, command, machine and date; see `provenance`.
@@ -47,7 +47,7 @@ class Results(NamedTuple):
     schema: int = SCHEMA
 
     def row(self, who: Who) -> Row | None:
-        """Return the row of a given identity, or None."""
+        """Return the row with a given identity, or None."""
         return next((row for row in self.rows if row.who == who), None)
 
     def __str__(self) -> str:
@@ -111,7 +111,7 @@ def encoded(results: Results) -> dict[str, Any]:
 def decoded(content: Mapping[str, Any]) -> Results:
     """Rebuild results from the output of `encoded`; raises KeyError, TypeError or ValueError.
 
-    In `training`, in `extra` and in the numbers of plugins the texts inf, -inf and nan are read as numbers.
+    In `training`, `about`, `extra` and the numbers of plugins, the strings inf, -inf and nan become numbers.
     """
     units = Units(**{key: _text(value) for key, value in content["units"].items()})
     components = tuple(_text(name) for name in content["components"])
@@ -136,7 +136,7 @@ def _inertia(value: Any) -> float | tuple[float, ...]:
 
 
 def plain(value: Any) -> Any:
-    """Return nested values fit for strict JSON: non-finite numbers become texts."""
+    """Return nested values for strict JSON: non-finite numbers become strings."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -149,7 +149,7 @@ def plain(value: Any) -> Any:
 
 
 def restored(value: Any) -> Any:
-    """Return nested values with texts from `plain` converted back to numbers."""
+    """Return nested values with strings from `plain` converted back to numbers."""
     if isinstance(value, dict):
         return {key: restored(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -191,7 +191,7 @@ def _choice(name: str, value: Any) -> Any:
 
 
 def _number(value: Any) -> float:
-    """Return a score from a JSON number or a text for a non-finite number."""
+    """Return a score from a JSON number or from the string for a non-finite number."""
     if isinstance(value, str):
         return NOT_FINITE[value]
     if isinstance(value, bool) or not isinstance(value, int | float):

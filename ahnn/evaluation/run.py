@@ -59,7 +59,7 @@ def add_tests(case: Case, findings: Findings, *, figures: bool) -> Worth:
     show("baselines")
     value = add_worth(case, findings)
     add_constants(case, findings)
-    if case.uncertainty is not None:  # first, since it may be the cause of a poor fit
+    if case.uncertainty is not None:  # first, since it may explain a poor fit
         findings.tell(case.uncertainty.unfinished, findings.faults)
     if case.measured is not None:
         add_noise(case, case.measured, findings)
@@ -81,7 +81,7 @@ def add_tests(case: Case, findings: Findings, *, figures: bool) -> Worth:
 
 
 def band_tests(case: Case, fitted: float) -> dict[str, Any]:
-    """Return the numbers `uncertainty` and `forecast` of an evaluation, without the other tests.
+    """Return the entries `uncertainty` and `forecast` of an evaluation, without the other tests.
 
     Args:
         case: case to evaluate.
@@ -117,7 +117,7 @@ def add_goodness(case: Case, measured: Segment, findings: Findings) -> None:
 
 
 def add_plugin(case: Case, name: str, plugin: EvaluationPlugin, findings: Findings, *, figures: bool) -> None:
-    """Add the findings of a plugin; remarks on its filters from perturbed starts are faults."""
+    """Add the findings of a plugin; remarks on its filters from perturbed starts count as faults."""
     more = plugin(case)
     findings.rows += distinct(more.rows, findings.rows, name)
     findings.numbers[name] = more.numbers

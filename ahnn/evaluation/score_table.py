@@ -15,7 +15,7 @@ from ahnn.labels import headed, quantity
 from ahnn.numbers import in_percent
 
 NUMBER = 9
-"""Width of a number; `1.23e-300` is the longest score."""
+"""Width of a number; the longest are of the form `1.23e-300`."""
 
 QUANTITIES = ("position", "velocity", "energy")
 
@@ -58,7 +58,7 @@ def results_table(results: Results, *, detail: bool = False) -> str:
 
 
 def table_lines(rows: Iterable[Row], label: str) -> list[ScoreLine]:
-    """Return the lines of a table, in sections, each row in one of them.
+    """Return the lines of a table, ordered by section; each row is on one line.
 
     A floor shares a line with the model of the same estimator, start and span; another process, or a second
     floor, has its own section.
@@ -156,7 +156,7 @@ def _explanations(results: Results) -> Iterator[str]:
 
 
 def _details(row: Row, results: Results) -> str:
-    """Format the scores of a row without a column in the table."""
+    """Format those scores of a row that have no column in the table."""
     space, names = results.space, results.space.components
     over = "/m" if space.mechanical else ""
     labels = [*names[: space.dof], *(name + over for name in names[space.dof :])]
@@ -182,7 +182,7 @@ def _wrapped(text: str, *, hanging: bool = False) -> list[str]:
 
 
 def number(value: float | None) -> str:
-    """Format a number with three or four digits, in the shorter notation, at most nine characters.
+    """Format a number with three or four digits, in the shorter notation and at most nine characters.
 
     An exponent is never truncated; missing values are shown as `-`.
     """

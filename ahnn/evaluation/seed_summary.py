@@ -21,7 +21,7 @@ CELL = 16
 
 
 def summary(folder: Path, names: Iterable[str]) -> str:
-    """Format the table of the runs in a folder, with instructions for resumption.
+    """Format the table of the runs in a folder, with the command for a full report.
 
     Args:
         folder: folder that contains the run folders.
@@ -40,7 +40,7 @@ def summary(folder: Path, names: Iterable[str]) -> str:
 
 
 def seeds_table(runs: list[Results]) -> Iterator[str]:
-    """Yield the table lines: per estimator one line per model, mean and relative spread, and the floor."""
+    """Yield the table lines: for each estimator, mean and relative spread of each model, then the floor."""
     models = list(dict.fromkeys(run.label for run in runs))
     width = max(5, *map(len, models)) + 2
     yield " " * width + f"{'true start':>{2 * CELL}}{'perturbed start':>{2 * CELL}}"
@@ -66,7 +66,7 @@ def seeds_table(runs: list[Results]) -> Iterator[str]:
 def scores(
     runs: list[Results], estimator: str | None, start: str, quantity: str, *, floor: bool = False
 ) -> list[float]:
-    """Return a score of each run, of its model or floor, over full trajectories."""
+    """Return one score per run, that of its model or its floor, over full trajectories."""
     return [
         getattr(row.scores, quantity)
         for run in runs
@@ -76,7 +76,7 @@ def scores(
 
 
 def is_of(row: Row, estimator: str | None, start: str, *, floor: bool) -> bool:
-    """Return whether a row contains such scores; the first of several floors is used."""
+    """Return whether a row is of the model, or a floor, for an estimator and start over full trajectories."""
     who = row.who
     side = who.floor if floor else who.process == MODEL and not who.floor
     return bool(side) and (who.estimator, who.start, who.span) == (estimator, start, "whole")

@@ -23,7 +23,7 @@ VERMILLION, PURPLE, BLACK = "#D55E00", "#CC79A7", "#000000"
 
 TRUTH: dict[str, Any] = {"color": BLACK, "ls": (0, (4, 3)), "lw": 1.0, "zorder": 4}
 TRACK: dict[str, Any] = TRUTH | {"ls": "-", "lw": 0.7}
-"""True path in the plane: dashes of its revolutions would overlap and fill one another's gaps."""
+"""Line style of true paths in the plane: the dashes of several revolutions would fill one another's gaps."""
 MODEL: dict[str, Any] = {"color": VERMILLION, "ls": "-", "lw": 1.8}
 FLOOR: dict[str, Any] = {"color": BLUE, "ls": (0, (6, 1.5, 1.5, 1.5)), "lw": 1.5, "zorder": 3}
 ALONE: dict[str, Any] = {"color": GREEN, "ls": (0, (1.5, 1.2)), "lw": 1.8, "zorder": 3}
@@ -37,7 +37,7 @@ ERRORS = "viridis"
 """Colour map of errors along a path."""
 
 LOST = 1e30
-"""Values from this size on are treated as lost and excluded from axis limits."""
+"""Absolute value from which on a prediction is treated as lost and excluded from axis limits."""
 NAMES = ("position", "velocity")
 PARTED = 5.0
 """Steps longer than this multiple of the median one are not bridged by a line."""
@@ -57,7 +57,7 @@ class Axis(NamedTuple):
 def time_axis(case: Case) -> Axis:
     """Return the times since the start of the test trajectories, in hours for long time spans in seconds.
 
-    For trajectories with different times it is the mean over those that contain the sample.
+    If trajectories have different times, they are averaged over those that contain the sample.
     """
     times = case.test.times
     elapsed = (times - times[:, :1]).nanmean(0)
@@ -86,7 +86,7 @@ def reference(case: Case) -> str:
 
 
 class ShownFigure(Figure):
-    """Figure that notebooks show, also where pyplot is not imported."""
+    """Figure that notebooks show even if pyplot is not imported."""
 
     def _repr_png_(self) -> bytes:
         self.savefig(content := io.BytesIO(), format="png")
@@ -94,7 +94,7 @@ class ShownFigure(Figure):
 
 
 def canvas(width: float, height: float) -> Figure:
-    """Return an empty figure of a size in inches."""
+    """Return an empty figure of the given size in inches."""
     return ShownFigure(figsize=(width, height), layout="constrained")
 
 
@@ -118,7 +118,7 @@ def state_labels(case: Case) -> list[str]:
 
 
 def legend_below(figure: Figure, *panels: Any) -> None:
-    """Put one legend below a figure, with each label of all panels once."""
+    """Put one legend below a figure that lists each label of its panels once."""
     entries: dict[str, Any] = {}
     for axes in panels:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -173,7 +173,7 @@ def near(axes: Any, points: Tensor) -> None:
 
 
 def frame(axes: Any, curves: Iterable[Tensor], *, symmetric: bool) -> None:
-    """Set the vertical limits to curves, (T,), with a margin; unchanged without finite values."""
+    """Fit the vertical limits to curves (T,), with a margin; leave them unchanged without finite values."""
     values = torch.cat([curve[curve.isfinite()] for curve in curves])
     if not len(values):
         return

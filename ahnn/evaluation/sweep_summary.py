@@ -22,7 +22,7 @@ TRAINING = {"W": "window", "seconds": "seconds", "val loss": "val_loss"}
 QUANTITIES = ("position", "velocity", "energy")
 OF_SWEEPER = ("trial=", "hydra.sweep.subdir=")
 PRUNED = Path(".hydra", "pruned")
-"""Mark of the sweeper on the folder of a pruned job."""
+"""Mark that the sweeper leaves in the folder of a pruned job."""
 
 
 def sweep_table(folder: Path, jobs: list[Path]) -> Table:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ahnn.evaluation.case import Who
 
 MODEL = "model"
-"""Process name of rows of the trained model."""
+"""Process name in the rows of the trained model."""
 
 SPANS = {"whole": "", "settled": "settled"}
 
@@ -38,10 +38,10 @@ def described(who: Who, label: str) -> str:
 
 
 def metric_name(who: Who, quantity: str) -> str:
-    """Return the name of a score in TensorBoard, free of the model's label so that runs compare.
+    """Return the name of a score in TensorBoard, without the model's label, so that runs are comparable.
 
-    The default case is the shortest: `score/position` is the score of the model from the true start without
-    measurements, `score/position/ukf/perturbed/settled` the score of a filter.
+    The default case has the shortest name: `score/position` is the score of the model from the true start
+    without measurements, `score/position/ukf/perturbed/settled` that of a filter.
     """
     process = None if who.process == MODEL else who.process.replace(", ", "_").replace(" ", "_")
     start = None if who.start == "true" else who.start

@@ -62,7 +62,7 @@ def _curves(case: Case, arrays: dict[str, Tensor]) -> Iterator[Curve]:
 
 
 def error(case: Case, curves: list[Curve]) -> Figure:
-    """Plot position and velocity errors over time (thin) and moving averages (thick) of model and floor.
+    """Plot position and velocity errors of model and floor over time (thin), and moving averages (thick).
 
     Unmeasured velocities have no panel.
     """
@@ -110,10 +110,10 @@ def in_time(times: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def energy(case: Case, curves: list[Curve]) -> Figure:
-    """Plot the energy drift along the first trajectory, of the true energy or else the learned one.
+    """Plot the drift of the true energy, or else of the learned one, along the first trajectory.
 
-    The upper panel shows the change, the lower one its difference from the data's change, which is zero if
-    energy is conserved.
+    The upper panel shows the change, the lower panel its difference from the change along the data, which is
+    zero if energy is conserved.
     """
     figure = style.canvas(8, 6)
     upper, lower = figure.subplots(2, 1, sharex=True)

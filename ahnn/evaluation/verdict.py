@@ -1,4 +1,4 @@
-"""Plain verdict on a trained model: good or not, why, and a remedy, in at most five findings."""
+"""Verdict on a trained model: whether it is good, why, and a remedy, in at most five findings."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ahnn.evaluation.baselines import Worth
 LINES = 5
 """Maximum number of findings in a verdict; more are in the notes."""
 GRADES = {"good": 0.01, "fair": 0.1}
-"""Maximum relative errors of a grade, without measurement noise."""
+"""Maximum relative error for each grade, without measurement noise."""
 
 
 BELOW = ("worse than a linear map",)
@@ -20,14 +20,14 @@ ADVICE = "Train longer, or use another model"
 def verdict(
     worth: Worth, faults: Sequence[str], others: Sequence[str], *, noisy: bool, caveat: str = ""
 ) -> list[str]:
-    """Return the findings that decide whether a model is of use.
+    """Return the findings that decide whether a model is useful.
 
     Args:
-        worth: value of its prediction.
+        worth: comparison of its prediction with the baselines.
         faults: findings that need a remedy, the most severe first.
-        others: findings on its standard deviations, and of plugins.
-        noisy: whether the error includes the noise of measurements, which is no fault of the model.
-        caveat: reason why the training cannot have made a good model; "" without one.
+        others: findings on its standard deviations, and findings of plugins.
+        noisy: whether the error includes measurement noise, which is no fault of the model.
+        caveat: reason why the training cannot have produced a good model; "" without one.
     """
     head = worth.sentence()
     if not worth.worthless:

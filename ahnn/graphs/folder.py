@@ -48,7 +48,7 @@ def write_export(run: Run, folder: Path) -> list[str]:
 
 
 def about(run: Run, parts: dict[str, nn.Module]) -> dict[str, Any]:
-    """Return the metadata of an exported model, plain values."""
+    """Return the metadata of an exported model as plain values."""
     made = provenance()
     kept = {name: made[name] for name in ("ahnn", "commit", "torch", "date")}
     state = run.dynamics.state_dict()

@@ -18,7 +18,7 @@ from ahnn.errors import UserError
 from ahnn.integrators import GaussLegendre4
 
 SPACING, TERMS = 0.5, 13
-"""Step of the sum for the normal distribution; its error is below 4e-16."""
+"""Step and number of terms of the sum for the normal distribution; its error is below 4e-16."""
 
 
 class StepModule(nn.Module):

@@ -78,7 +78,7 @@ def require_onnx() -> None:
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Silence warnings of torch's exporters on other packages and their own deprecations."""
+    """Silence warnings of torch's exporters about other packages and about their own deprecations."""
     logger = logging.getLogger("torch.onnx")
     level = logger.level
     logger.setLevel(logging.ERROR)

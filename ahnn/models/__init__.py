@@ -1,6 +1,6 @@
 """Models of dynamics, one LightningModule per kind.
 
-The HNN⁺ of the paper is `AHNN` over windows of one step, so both share a class and differ in their YAML.
+The HNN⁺ of the paper is `AHNN` with windows of one step: both share a class and differ in their YAML.
 """
 
 from __future__ import annotations

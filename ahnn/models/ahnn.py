@@ -13,7 +13,7 @@ from ahnn.models.module import AbstractModel
 
 @final
 class AHNN(AbstractModel):
-    """Autoregressive Hamiltonian neural network (the paper); equal to its HNN⁺ for one-step windows.
+    """Autoregressive Hamiltonian neural network of the paper; with one-step windows, its HNN⁺.
 
     Args:
         dof: degrees of freedom n.
@@ -28,7 +28,7 @@ class AHNN(AbstractModel):
         integrator: `name` and options of the one-step method.
         window: number W of recursive prediction steps in the loss.
         loss: options of `LossOptions`.
-        angular: which coordinates are angles, for inputs=angles.
+        angular: whether each coordinate is an angle, for inputs=angles.
         forces: additional forces, name -> options.
         controls: number m of controls on which forces may depend.
     """
@@ -57,7 +57,7 @@ class AHNN(AbstractModel):
         options |= {"inputs": inputs, "scaling": scaling, "network": network, "integrator": integrator}
         if inputs == "angles":
             options |= {"angular": angular}
-        if forces:  # weights of a model without forces keep their original arguments
+        if forces:  # weights of models without forces keep their original arguments
             options |= {"forces": forces, "controls": controls}
         super().__init__(make_dynamics("hamiltonian", dof=dof, **options), dof, window, loss)
         self.save_hyperparameters()

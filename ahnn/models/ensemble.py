@@ -20,22 +20,21 @@ from ahnn.training.member_damping import StepTaken, member_damped_steps, togethe
 from ahnn.types import Window
 
 INDEPENDENT = ("SGD", "Adam", "AdamW", "NAdam", "RAdam", "Adamax", "Adagrad", "RMSprop")
-"""Optimisers of torch whose step of one number depends on no other number."""
+"""Optimisers of torch that update each weight independently of all other weights."""
 
 
 @final
 class EnsembleModel(LightningModule):
     """Members that differ in their initial weights and the order of their batches.
 
-    Gradient steps minimise the sum of the losses: with an element-wise optimiser each member takes the steps
-        of a separate training run. Second-order steps are taken member by member, with a damping of their
-        own.
+    Gradient steps minimise the sum of the losses: with an element-wise optimiser, each member takes the same
+    steps as in a separate training run. Second-order steps have a separate damping for each member.
 
     Args:
         members: models of one configuration, each built with its seed.
 
     Raises:
-        UserError: an optimiser whose steps would couple the members.
+        UserError: the steps of the optimiser would couple the members.
     """
 
     def __init__(self, members: Sequence[AbstractModel]) -> None:
@@ -74,10 +73,10 @@ class EnsembleModel(LightningModule):
                 raise UserError(message)
 
     def optimizers_of_all(self) -> Any:
-        """Return one optimiser of all members' weights; for second-order steps, a list with one per member.
+        """Return one optimiser for all members' weights; for second-order steps, a list with one per member.
 
         Raises:
-            UserError: an optimiser whose steps would couple the members.
+            UserError: the steps of the optimiser would couple the members.
         """
         first = self.models[0]
         solo = first.configure_optimizers()
@@ -105,7 +104,7 @@ class EnsembleModel(LightningModule):
         }
 
     def training_step(self, batch: Any, batch_idx: int) -> Tensor:
-        """Return the sum of the members' losses of their batches, one below the other.
+        """Return the sum of the members' losses; `batch` contains their batches one after another.
 
         Raises:
             TrainingError: the loss is not finite.
@@ -121,7 +120,7 @@ class EnsembleModel(LightningModule):
         return loss
 
     def on_validation_start(self) -> None:
-        """Check the weights, and forget the scores of the last validation."""
+        """Check the weights, and clear the sums of the last validation."""
         require_finite_weights(self, f"at step {self.trainer.global_step} in epoch {self.current_epoch}")
         self._sums, self._rows = [{} for _ in self.members], 0.0
 
@@ -164,7 +163,7 @@ class EnsembleModel(LightningModule):
 
         Args:
             objectives: objective of each member.
-            batch: their batches, one below the other.
+            batch: batches of all members, one after another along the first dimension.
             optimizers: optimiser of each member, for second-order steps.
         """
         first, objective = self.models[0], objectives[0]

@@ -31,11 +31,11 @@ from ahnn.types import Flow, TimeStep, Window
 STAGED = ("val/loss", "val/lost")
 """Metrics logged by validations on measurements."""
 LOOKS = 50
-"""Number of steps between checks of the loss, which synchronise the device. A non-finite loss persists."""
+"""Number of steps between checks of the loss, which synchronise the device; non-finite losses persist."""
 
 
 class Optimisation(NamedTuple):
-    """Factories of the optimiser and its scheduler, which belong to a training run instead of a model."""
+    """Factories of the optimiser and its scheduler, which belong to a training run, not to a model."""
 
     optimizer: Callable[[Iterable[nn.Parameter]], Optimizer]
     scheduler: Callable[[Optimizer], LRScheduler] | None
@@ -83,11 +83,11 @@ class AbstractModel(LightningModule, ABC):
         self._optimisation, self._about = optimisation, {**about}
 
     def learns_from(self, **about: Any) -> None:
-        """Add metadata of the data to checkpoints, once available."""
+        """Add metadata about the data to checkpoints, once available."""
         self._about |= about
 
     def step_by(self, recorded: Stepper) -> None:
-        """Use recorded steps instead of gradient steps."""
+        """Use recorded gradients instead of autograd in the steps of a first-order optimiser."""
         self._recorded = recorded
 
     @property
@@ -166,7 +166,7 @@ class AbstractModel(LightningModule, ABC):
             raise UserError(message) from error
 
     def _check_stages(self, trainer: Trainer) -> None:
-        """Reject settings unsupported on measurements: devices other than the CPU, or unlogged metrics."""
+        """Reject settings that measurements do not support: other devices than one CPU, unlogged metrics."""
         device = trainer.strategy.root_device.type
         asked = {"trainer.accelerator": (device, ("cpu",)), "trainer.devices": (trainer.world_size, (1,))}
         for callback in trainer.callbacks:  # pyright: ignore[reportAttributeAccessIssue]

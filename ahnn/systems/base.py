@@ -42,8 +42,8 @@ class System(ABC):
 
     A subclass is a frozen dataclass whose fields are its physical constants; all enter the hash under which
     generated trajectories are cached. With additional `forces`, states are extended by time and controls as
-    needed (`ahnn.clock`). A T(p) that is not p^2 / 2m overrides `velocity`. An H that is not T(p) + V(q)
-    overrides `hamiltonian` and `separable`, and needs no `force`; `MassMatrixSystem` does so for
+    needed (`ahnn.clock`). A system whose T(p) is not p^2 / 2m overrides `velocity`. A system whose H is not
+    T(p) + V(q) overrides `hamiltonian` and `separable`, and needs no `force`, like `MassMatrixSystem` with
     p = M(q) dq/dt.
 
     Attributes:
@@ -56,7 +56,7 @@ class System(ABC):
         integrator: name of the method that generates the truth.
         noise: default standard deviations for a filter.
         mass: mass in the unit of the system.
-        constants: fields on which the force depends besides position, without the mass.
+        constants: fields on which the force depends besides the position, except the mass.
         controls: names of external inputs on which forces may depend.
         angles: names of angular coordinates; all of them if positions are in rad.
         linear: whether controls are interpolated linearly between samples instead of held.
@@ -78,7 +78,7 @@ class System(ABC):
     mass: Positive = 1.0
 
     def __post_init__(self) -> None:
-        """Raise UserError for the first parameter that admits no trajectory."""
+        """Raise UserError for the first invalid parameter."""
         check_values("", type(self), {field.name: getattr(self, field.name) for field in fields(self)})
 
     @abstractmethod
@@ -89,7 +89,7 @@ class System(ABC):
         """Return dp/dt = -dV/dq, shape (..., n), at the positions q, shape (..., n).
 
         Raises:
-            UserError: a system defines neither this method nor `hamiltonian` with `separable` False.
+            UserError: the system defines neither this method nor `hamiltonian` with `separable` False.
         """
         del q
         message = (
@@ -127,7 +127,7 @@ class System(ABC):
 
     @property
     def separable(self) -> bool:
-        """Whether H = T(p) + V(q), as symplectic compositions require; else `hamiltonian` is overridden."""
+        """Whether H = T(p) + V(q) without additional forces, as symplectic compositions require."""
         return not self.forces
 
     def parameters(self) -> dict[str, Any]:

@@ -15,7 +15,7 @@ REACH = 1e-5
 ALLOWED = 1e-4
 """Tolerated difference, relative to the largest rate."""
 ROUNDING = 16 * torch.finfo(torch.float64).eps
-"""Bound of the rounding errors of an energy, relative to it: they are all that states at rest have."""
+"""Bound of the rounding error of an energy, relative to it, which dominates for states at rest."""
 
 
 def require_hamilton(system: System, states: Tensor) -> None:
@@ -23,7 +23,7 @@ def require_hamilton(system: System, states: Tensor) -> None:
 
     Args:
         system: system with n degrees of freedom.
-        states: (N, 2n) states, of which some are used.
+        states: (N, 2n) states, of which at most `STATES` are used.
 
     Raises:
         UserError: dq/dt or dp/dt differs from the derivatives of the energy.
@@ -47,7 +47,7 @@ def require_hamilton(system: System, states: Tensor) -> None:
 
 
 def energy_gradient(system: System, x: Tensor) -> Tensor:
-    """Return dH/dx, shape (N, 2n), at states x, by central differences: any energy has these."""
+    """Return dH/dx, shape (N, 2n), at states x, by central differences, which suit any energy."""
     steps = torch.diag(displacements(x).repeat_interleave(system.dof))
     around = x.unsqueeze(1)
     higher, lower = (system.energy((around + sign * steps).flatten(0, 1)) for sign in (1, -1))

@@ -17,7 +17,7 @@ from ahnn.types import Space
 
 Degree = Annotated[int, Within(0)]
 TURN = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]], dtype=torch.float64)
-"""Maps rows (x, y, z) to (y, -x, 0), the rotation of fixed vectors in axes that rotate at 1 rad/s."""
+"""Maps rows (x, y, z) to (y, -x, 0), the rates of fixed vectors in axes that rotate at 1 rad/s."""
 
 
 @final
@@ -27,11 +27,11 @@ class MolniyaGravity(SatelliteSystem):
 
     H = p^2 / 2m + m V(q) - rotation (x p_y - y p_x), with p the mass times inertial velocity, resolved in
     body-fixed axes. H is canonical and conserved (the Jacobi constant) although V rotates in an inertial
-    frame. Zonal harmonics are unaffected by rotation: with order 0 and rotation 0 the axes are inertial and H
-    = T + V.
+    frame. Zonal harmonics are unaffected by rotation: with order 0 and rotation 0, the axes are inertial and
+    H = T + V.
 
     Attributes:
-        gravity: `ggm05c` (to degree 8), or the path of a file of the ICGEM format.
+        gravity: `ggm05c` (to degree 8), or the path of a file in ICGEM format.
         degree: highest degree of the harmonics.
         order: highest order of the harmonics.
         rotation: rotation rate of the planet in rad/s; may be 0 only for order 0.

@@ -80,7 +80,7 @@ class OblateFlow:
             return self._followed(x, torch.tensor(float(dt) / count, dtype=torch.float64), count)
         h = dt.to(torch.float64).contiguous()
         counts = substeps_of_each(h.abs().nan_to_num(), self.longest)
-        if bool((counts != counts[0]).any()):  # independent of the other members of the batch
+        if bool((counts != counts[0]).any()):  # results must not depend on other members
             out = torch.empty_like(x)
             for count in counts.unique():
                 own = counts == count

@@ -10,7 +10,7 @@ from torch import Tensor
 
 
 class Elements(NamedTuple):
-    """Orbital elements with periapsis; lengths in km, angles in degrees, all of shape (B,)."""
+    """Orbital elements with the periapsis radius; lengths in km, angles in degrees, all of shape (B,)."""
 
     periapsis: Tensor
     eccentricity: Tensor

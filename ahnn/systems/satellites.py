@@ -16,7 +16,7 @@ from ahnn.systems.orbits import Elements, period, state_at_periapsis
 
 
 class Planet(NamedTuple):
-    """Central planet of orbital elements.
+    """Central planet to which orbital elements refer.
 
     Attributes:
         mu: gravitational parameter in km^3/s^2.
@@ -36,9 +36,10 @@ class SatelliteSystem(System):
     Attributes:
         altitude: range of the periapsis altitude in km above the equatorial radius.
         eccentricity: range of the eccentricity.
-        inclination: range in degrees. raan: range of the right ascension of the ascending node, in degrees.
+        inclination: range in degrees.
+        raan: range of the right ascension of the ascending node, in degrees.
         argument_of_periapsis: range in degrees.
-        periods: length of each trajectory in two-body periods; None for `steps` for all.
+        periods: length of each trajectory in two-body periods; None: all trajectories have `steps` steps.
     """
 
     altitude: Range = (540.0, 560.0)

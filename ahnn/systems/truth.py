@@ -26,13 +26,13 @@ TRIED, STEPS = 16, 24
 FINEST = 64
 """Maximum number of substeps of a sampling interval."""
 DIFFERENCE = 1e-3
-"""Half-width of central differences of a flow, in default initial standard deviations of the system."""
+"""Half-width of central differences of a flow, relative to the system's default initial deviations."""
 _KNOWN: dict[str, int] = {}
-"""Cache of results per system in this process; a list, since parameters may be unhashable."""
+"""Numbers of substeps by the `repr` of a system, since its parameters may be unhashable."""
 
 
 def exact_flow(system: System) -> Flow:
-    """Return the flow of a system by its own integrator, with as many substeps as accuracy requires.
+    """Return the flow of a system with its own integrator and as many substeps as accuracy requires.
 
     Raises:
         UserError: no admissible number of substeps is accurate.
@@ -105,7 +105,7 @@ def _trial_error(system: System, count: int) -> float:
 
 
 class SubstepsFlow(NamedTuple):
-    """Flow of a system with `number` substeps per sampling interval, and proportional for other steps."""
+    """Flow of a system with `number` substeps per sampling interval, and in proportion for other steps."""
 
     system: System
     number: int

@@ -56,7 +56,7 @@ def filter_figures(
 
 
 def drawn(outcomes: Sequence[Outcome]) -> Chosen:
-    """Select the outcomes of the plain filter, listed first, of the model and of the floor."""
+    """Select the outcomes of the plain filter, which is listed first, for the model and the floor."""
     name = outcomes[0].who.estimator
     plain = (o for o in outcomes if o.who.estimator == name and (o.who.floor or o.who.process == MODEL))
     return {(o.who.start, o.who.floor): o for o in plain}
@@ -116,7 +116,7 @@ def component_errors(case: Case, outcome: Outcome, teeth: Sawtooth) -> Figure:
 
 
 def error_against_band(case: Case, chosen: Chosen, start: Start) -> Figure:
-    """Plot the rms error over all trajectories with the filter's own estimate."""
+    """Plot the rms error over all trajectories, with its standard deviation according to the filter."""
     figure = style.canvas(8, 6.4)
     panels = figure.subplots(2, 1, sharex=True)
     axis = style.time_axis(case)
@@ -139,11 +139,11 @@ def error_against_band(case: Case, chosen: Chosen, start: Start) -> Figure:
 
 
 MARKS = {("perturbed", True): "s", ("perturbed", False): "o", ("true", False): "x"}
-"""Marks of NIS, which are independent of one another: no line leads from one to the next."""
+"""Markers of NIS, which are not joined by a line because the values are independent of one another."""
 
 
 def consistency(case: Case, setting: Setting, chosen: Chosen) -> Figure:
-    """Plot NEES, and NIS per measured value, over all trajectories over time with their 95 % bands."""
+    """Plot the mean NEES, and NIS per measured value, of all trajectories over time with 95 % bands."""
     figure = style.canvas(8, 6.6)
     panels = figure.subplots(2, 1, sharex=True)
     axis, members = style.time_axis(case), len(case.test.states)

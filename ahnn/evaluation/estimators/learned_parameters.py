@@ -18,11 +18,11 @@ from ahnn.measurements import Instrument, Segment
 from ahnn.uncertainty.directions import ARCS, Chosen, Watched
 
 ENOUGH = 0.01
-"""Maximum NEES contribution of omitted directions, per state component, if the filter's data are known."""
+"""Maximum NEES contribution of omitted directions per state component, if the filter's data are known."""
 
 
 def simulated_filter(case: Case, setting: Setting) -> Watched:
-    """Build training trajectories with the measurement schedule of the evaluation's filter."""
+    """Simulate measurements of training trajectories with the schedule of the evaluation's filter."""
     states = case.train.states[:: max(1, len(case.train.states) // ARCS)]
     states = states[states[:, 0].isfinite().all(-1)]
     dt = cast(float, case.dt)
@@ -41,7 +41,7 @@ def parameters_as_states(
 
     Args:
         dynamics: dynamics with the parameters.
-        chosen: chosen directions, and the contribution of the omitted ones.
+        chosen: chosen directions, and the NEES contribution of the omitted ones.
         growth: factor (...) on the effect of the parameters at states (..., D); None for 1 everywhere.
     """
     directions, left_out = chosen

@@ -92,7 +92,7 @@ def given_noise(
     flow: Flow | None = None,
     known: Uncertainty | None = None,
 ) -> Noise | None:
-    """Return Q of a step and the additional error if known from option or training; None if data are needed.
+    """Return Q of one step and the additional error; None if they must be fitted to data.
 
     Args:
         option: see `noise_option`.
@@ -119,7 +119,7 @@ def given_noise(
 def online_parameters(
     flow: Flow | None, uncertainty: Uncertainty, growth: Callable[[Tensor], Tensor] | None
 ) -> ParameterError:
-    """Build learned parameters as states, in the directions saved by the training; raises UserError."""
+    """Build learned parameters as states in the directions saved by training; UserError if there are none."""
     dynamics, known = uncertainty.tangent or (cast(Dynamics, flow), uncertainty)
     if known.directions is None:
         message = (
@@ -156,11 +156,11 @@ def with_process_noise(
         plain: filter without process noise.
         case: evaluated case.
         setting: measurement settings and P0.
-        arcs: function that returns a number of full validation trajectories for the choice of a scale.
+        arcs: function that returns a given number of full validation trajectories, to choose a scale.
         rate: growth rate of a force error with the square of novelty - 1; None: no growth.
 
     Raises:
-        UserError: the model contains no representative training states.
+        UserError: a rate is given, but the model contains no representative training states.
     """
     if isinstance(option, ParameterOptions) and case.uncertainty is None:
         log.warning(
@@ -199,7 +199,7 @@ def with_process_noise(
 def grown(
     novelty: Callable[[Tensor], Tensor] | None, rate: float | None
 ) -> Callable[[Tensor], Tensor] | None:
-    """Return the growth factor of a force error at a state; raises UserError for unknown novelty."""
+    """Return the growth factor of a force error as a function of states; UserError for unknown novelty."""
     if rate is None:
         return None
     if novelty is None:
@@ -212,7 +212,7 @@ def grown(
 
 
 def require_truth(option: NoiseOption, truth: System | None) -> None:
-    """Raise UserError for a process noise fitted to true states that are unknown."""
+    """Raise UserError if process noise is to be fitted to true states, which are unknown."""
     if truth is None:
         received = {"ForceOptions": "force_error", "ParameterOptions": "no parameter covariance"}
         message = (

@@ -36,7 +36,7 @@ class Outcome(NamedTuple):
     """Outcome of a filter, or its smoother, on the test trajectories of one scenario.
 
     Attributes:
-        who: identity of its row over the entire arc.
+        who: identity of the row with the scores over the entire arc.
         estimate: (B, T + 1, D) after updates, the start first; NaN for a failed member.
         chol: (B, T + 1, D, D) lower factors of the filter's covariance.
         nees: (B, T + 1) normalised estimation error squared.
@@ -121,7 +121,7 @@ def rows(outcome: Outcome, case: Case, without: Scores | None) -> list[Row]:
     Args:
         outcome: outcome of a filter.
         case: evaluated case.
-        without: scores of the same start without a filter, to explain a worse filter; None to skip this.
+        without: scores from the same start without a filter, for a remark on a worse filter; None: no remark.
     """
     whole, extra = case.score(outcome.estimate), {"lost": outcome.lost}
     settled = case.score(outcome.estimate, outcome.first)
@@ -162,7 +162,7 @@ def _remark(outcome: Outcome, whole: Scores, without: Scores | None, space: Spac
 
 
 def _worse(scores: Scores, without: Scores, space: Space) -> list[str]:
-    """Return which of position and velocity a filter makes worse."""
+    """Return the quantities, among position and velocity, that a filter makes worse."""
     names = ("position", "velocity")
     return [quantity(space, n)[0] for n in names if not getattr(scores, n) <= getattr(without, n)]
 
@@ -214,7 +214,7 @@ def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
 
     Means are over trajectories and over times after the first update; `band_95` is the 95 % band of such a
     mean for a consistent filter. `in_band` is the fraction of times at which the mean over trajectories is
-    within its band, `one_time_band_95` for the NEES; the band of the NIS uses the number of measured values.
+    within its band: `one_time_band_95` for the NEES; for the NIS it depends on the number of measured values.
     `nees_of_phases` is the NEES by `System.phases`, `nees_of_start` the NEES at time zero.
     """
     result, first = outcome.result, outcome.first

@@ -1,4 +1,4 @@
-"""Evaluation plugin of an estimator on a trained model: config group `plugins`."""
+"""Evaluation plugin that runs an estimator on a trained model: config group `plugins`."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class EstimatorEvaluation:
     depends only on the seed, so that all models and estimators receive the same measurements.
 
     Args:
-        estimator: estimator without gate.
+        estimator: estimator without a gate.
         cadence: steps between two measurements.
         times: measurement times, as an alternative to the cadence.
         measurement: `position`, `state`, or a measurement model.
@@ -69,17 +69,17 @@ class EstimatorEvaluation:
         start_sd: standard deviations of the initial error, for P0: one for each component, or one for
             positions and one for velocities; None for the system's default for perturbed starts.
         process_noise: `fitted` to validation data; standard deviations [position, velocity] of the error
-            of one step; `force_error`, relative and with memory, or `{size: ..., memory: ...}` to fix one of
-            them; or `parameter_error`: learned parameters as filter states, with their covariance as prior.
+            of one step; `force_error`, relative and with memory, or `{size: ..., memory: ...}` to fix either;
+            or `parameter_error`: learned parameters as filter states, with their covariance as prior.
         novelty: growth rate of the force error with the square of novelty - 1, such as 500; None: no growth.
             Requires `force_error` or `parameter_error`.
         gate: probability of the chi-square gate for outliers; None: no gate.
-        patience: number of consecutive rejections after which a member has diverged.
+        patience: number of consecutive rejections after which a member counts as diverged.
         smoother: whether to add the smoother's rows; a name adds the rows of all smoothers up to it.
         least_squares: whether to add the rows of batch least squares.
-        seed: seed of measurement noise and of the validation arcs.
-        beside: a similar system for data with unknown equations: it is filtered for comparison, with its own
-            process noise, and provides defaults.
+        seed: seed for the measurement noise and the validation arcs.
+        beside: a similar system for data with unknown equations: its exact flow is filtered for comparison,
+            with its own process noise, and the system provides defaults.
     """
 
     def __init__(
@@ -134,7 +134,7 @@ class EstimatorEvaluation:
             steps: number of steps of the shortest test trajectory.
 
         Raises:
-            UserError: an incompatible option, named in the message.
+            UserError: an option is incompatible; the message names it.
         """
         system = near_system(truth, self.beside, space)
         setting = self._setting(system, steps)
@@ -145,7 +145,7 @@ class EstimatorEvaluation:
         require_possible(setting, system, option, self.estimator)
 
     def require_constants(self, setting: Setting, steps: int, size: int) -> None:
-        """Check that the estimator's constants suit states of a given maximum size."""
+        """Check that the estimator's constants are valid for states of a given maximum size."""
         del setting, steps
         self.estimator.start(initial_belief(torch.zeros(1, size), torch.eye(size)))
 
@@ -204,7 +204,7 @@ class EstimatorEvaluation:
             known: covariance of the parameters, if available.
 
         Raises:
-            UserError: a required novelty or parameter covariance is unknown.
+            UserError: the novelty or parameter covariance is required but unknown.
         """
         noise = given_noise(self.process_noise, space, grown(novelty, self.novelty), flow, known)
         if noise is None:
@@ -264,8 +264,8 @@ class EstimatorEvaluation:
         return filters
 
     def arcs(self, case: Case, setting: Setting, count: int, steps: int | None, seed: int) -> Problem:
-        """Return arcs of a limited number of validation trajectories, used for tuning only."""
-        if steps is not None and clock_of(case.flow):  # arcs begin at any time, filters at time zero
+        """Return arcs of some validation trajectories, for tuning and for fits of process noise."""
+        if steps is not None and clock_of(case.flow):  # arcs may begin at any time, filters begin at zero
             message = f"tuning.steps: expected null with forces that depend on time; received {steps}"
             raise UserError(message)
         data = case.validation
@@ -280,7 +280,7 @@ class EstimatorEvaluation:
         return {start: Problem(truth, x, *known) for start, x in case.starts().items()}
 
     def settings(self, setting: Setting) -> dict[str, Any]:
-        """Return the assumptions, for metrics.json."""
+        """Return the filter's assumptions, for metrics.json."""
         return {
             "updates": list(setting.updates),
             "measured": list(setting.measurement.names),
@@ -292,6 +292,6 @@ class EstimatorEvaluation:
 
 
 def _interval(case: Case) -> float:
-    """Return the common step of simulated trajectories."""
+    """Return the time step, which all simulated trajectories share."""
     assert isinstance(case.dt, float), "simulated trajectories have one step"
     return case.dt

@@ -1,4 +1,4 @@
-"""Trial step of a filter at rest, to check before training that float64 precision suffices."""
+"""Trial step of a filter for a constant state, to check before training that float64 precision suffices."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def require_possible(
 
     Args:
         setting: measurement settings and start.
-        system: system that provides a state.
+        system: system from which a state is drawn.
         option: process noise option; ignored if fitted to data.
         estimator: estimator with its constants.
 

@@ -45,7 +45,7 @@ def kept(teeth: Sawtooth, member: int) -> dict[str, Tensor]:
 
 
 def _in_turn(first: Tensor, before: Tensor, after: Tensor) -> Tensor:
-    """Interleave to first, before_0, after_0, before_1, ..., (B, 2 T + 1, D)."""
+    """Interleave as first, before_0, after_0, before_1, ..., (B, 2 T + 1, D)."""
     return torch.cat((first[:, None], torch.stack((before, after), dim=2).flatten(1, 2)), dim=1)
 
 

@@ -12,7 +12,7 @@ def asked_smoothers(asked: bool | str, estimator: Estimator[Any]) -> list[str]:
     """Return the names of smoothers: none, the first, or all up to a named one.
 
     Raises:
-        UserError: unknown name, or an estimator without smoother.
+        UserError: the name is unknown, or the estimator has no smoother.
     """
     known = [*estimator.smoothers]
     if asked is False:

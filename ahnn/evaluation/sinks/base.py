@@ -9,7 +9,7 @@ from ahnn.evaluation.results import Results
 
 
 class Sink(Protocol):
-    """Output of results; folder or logger are set at construction."""
+    """Output of results; the folder or logger is set at construction."""
 
     def __call__(self, results: Results, findings: Findings) -> None:
         """Write results, or their arrays or figures."""
@@ -17,7 +17,7 @@ class Sink(Protocol):
 
 
 class TensorBoardLike(Protocol):
-    """Subset of Lightning's TensorBoard logger that is used."""
+    """Methods of Lightning's TensorBoard logger that the sink calls."""
 
     @property
     def experiment(self) -> Any:

@@ -47,7 +47,7 @@ class FigureSink:
 
 
 def clear(folder: Path) -> None:
-    """Remove our figures from a folder."""
+    """Remove the figures that `ahnn` wrote from a folder."""
     for path in pictures_in(folder):
         remove_own(path)
 
@@ -64,6 +64,6 @@ def drawn(figure: Figure, suffix: str) -> bytes:
         buffer = io.BytesIO()
         with rc_context({"svg.hashsalt": "ahnn"}):
             figure.savefig(buffer, format=suffix[1:], **FORMATS[suffix])
-        figure.set_layout_engine()  # the layout is fixed: a layout engine would draw once more
+        figure.set_layout_engine()  # a layout engine would draw once more, although the layout is fixed
         contents[suffix] = buffer.getvalue()
     return contents[suffix]

@@ -1,6 +1,6 @@
 """EIGEN-6S to degree and order 12 (Förste et al. 2011, GFZ and GRGS), a satellite-only Earth gravity field.
 
-At 2013-01-01: the published coefficients of 2005 with their trends, without annual and semiannual terms.
+Epoch 2013-01-01: the published coefficients for 2005 plus their trends, without annual and semiannual terms.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ class GravityField:
     def of_rows(
         cls, name: str, mu: float, radius: float, rows: Sequence[tuple[int, int, float, float]], tide: Tide
     ) -> GravityField:
-        """Build the field from rows n, m, C_nm, S_nm, fully normalised. Defaults: C_00 1, the rest 0."""
+        """Build the field from fully normalised rows n, m, C_nm, S_nm; others are 0, except C_00 = 1."""
         size = 1 + max(row[0] for row in rows)
         cosines, sines = np.zeros((2, size, size))
         cosines[0, 0] = 1.0

@@ -37,11 +37,11 @@ PLAIN = 80
 NEWTON = 6.6743e-11
 """Newton's constant, m^3/(kg s^2)."""
 DENSITIES, STONES, SMALL = (10.0, 1e5), 4500.0, 1e5
-"""Maximum mean densities in kg/m^3, of all bodies and of small ones, and the radius limit of these in m."""
+"""Limits of the mean density in kg/m^3, its maximum for small bodies, and their maximum radius in m."""
 MASS, OFFSET = 1e-4, 1e-6
-"""Tolerance of C of degree 0, and of coefficients of degree 1: 11 m on the Earth."""
+"""Tolerances of C_00 and of the coefficients of degree 1; the latter is 11 m on the Earth."""
 CONVENTION: dict[Index, Coefficient] = {(0, 0): (1.0, 0.0), (1, 0): (0.0, 0.0), (1, 1): (0.0, 0.0)}
-"""Optional coefficients: mu is the constant of the entire mass, the origin is the centre of mass."""
+"""Coefficients that may be omitted: mu includes the entire mass, and the origin is the centre of mass."""
 
 
 def read_gfc(path: Path | str, epoch: str | None = None) -> GravityField:
@@ -52,7 +52,7 @@ def read_gfc(path: Path | str, epoch: str | None = None) -> GravityField:
         epoch: epoch of time-variable coefficients, YYYY-MM-DD.
 
     Raises:
-        UserError: a missing file, or an error in it, with the row.
+        UserError: the file is missing or invalid; the message names the row.
     """
     file = CoefficientLine(str(path), 0, [])
     try:
@@ -84,12 +84,12 @@ def header(lines: list[CoefficientLine], file: CoefficientLine) -> dict[str, Coe
     """Return header lines by keyword; text before begin_of_head is a comment.
 
     Raises:
-        UserError: a keyword that is missing, duplicate, or with an invalid value.
+        UserError: a keyword is missing or duplicate, or has an invalid value.
     """
     starts = [k for k, line in enumerate(lines) if line.word(0) == "begin_of_head"]
     head: dict[str, CoefficientLine] = {}
     for line in lines[starts[0] + 1 if starts else 0 :]:
-        name = MU if line.word(0) == "gravity_constant" else line.word(0)  # name used for other bodies
+        name = MU if line.word(0) == "gravity_constant" else line.word(0)  # the name for other bodies
         if name not in (MU, RADIUS, DEGREE, "modelname", *KNOWN):
             continue
         if len(line.words) < 2 or name in head:
@@ -179,7 +179,7 @@ def require_centred(cosines: Coefficients, sines: Coefficients, file: Coefficien
 
 
 def one(n: int, m: int) -> float:
-    """Return the factor 1 of normalised coefficients."""
+    """Return the factor 1, for coefficients that are already normalised."""
     del n, m
     return 1.0
 

@@ -7,7 +7,7 @@ from ahnn.systems.gravity.field import GravityField
 MU, RADIUS = 398600.4415, 6378.1363
 """Gravitational parameter in km^3/s^2 and reference radius in km of the coefficients."""
 PERMANENT_TIDE = 4.173e-9
-"""C_20 without minus with the permanent tide, as given by the authors of the field."""
+"""Difference of C_20 without and with the permanent tide, as given by the authors of the field."""
 
 # fmt: off
 ROWS: tuple[tuple[int, int, float, float], ...] = (

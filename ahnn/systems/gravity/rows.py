@@ -22,7 +22,7 @@ Coefficient = tuple[float, float]
 
 
 class CoefficientLine(NamedTuple):
-    """Line with its place, for messages.
+    """Line with its position in the file, for messages.
 
     Attributes:
         file: file name.
@@ -121,7 +121,7 @@ def _years(line: CoefficientLine, epoch: str | None) -> float:
 
 
 def _factor(line: CoefficientLine, years: float) -> float:
-    """Return the time factor of the coefficients of a change."""
+    """Return the time-dependent factor of the coefficients in a row of `CHANGES`."""
     key = line.word(0)
     if key in ("trnd", "dot"):
         return years
