@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -55,8 +56,16 @@ def load(run: str | Path, ckpt: str = "best") -> Run:
     if count != received:
         message = f"{folder / FILE}: expected a covariance of {count} parameters; received {received}"
         raise UserError(message)
+    if known.unfinished:
+        warn_once(f"run {folder}: {known.unfinished}")
     dynamics, uncertainty = known.taken(trained.dynamics)
     return replace(trained, dynamics=dynamics.eval().requires_grad_(False), uncertainty=uncertainty)
+
+
+@cache
+def warn_once(text: str) -> None:
+    """Log a warning, once in a process: a command may load a run several times."""
+    log.warning("%s", text)
 
 
 def member_folders(folder: Path) -> list[Path]:

@@ -84,7 +84,5 @@ def predict(asked: PredictionRequest) -> None:
     if begin.covariances is not None and len(known) < len(runs):
         what = "the start" if len(runs) == 1 else "the start and the differences between the runs"
         log.warning("1 sigma: from %s only; these weights carry no uncertainty in the dynamics", what)
-    if len(known) == len(runs) and (unfinished := next(filter(None, (one.unfinished for one in known)), "")):
-        log.warning("1 sigma: %s", unfinished)
     if remark := warning(found, begin, space, from_numbers=not isinstance(asked.start, str)):
         log.warning(remark)
