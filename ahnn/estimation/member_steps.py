@@ -20,7 +20,7 @@ TIMELESS = (Position, State)
 class MemberFlow(NamedTuple):
     """Flow with an individual step length and start time for each of B members.
 
-    The time step passed to it is the fraction of these steps; 1 gives full steps.
+    The time step passed to it is a fraction of these lengths; 1 gives full steps.
 
     Attributes:
         flow: any flow without controls.

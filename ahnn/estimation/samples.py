@@ -60,7 +60,7 @@ class SampleState(NamedTuple):
         return RandomNumbers(int(self.seed), int(self.steps), int(self.updates))
 
     def where(self, condition: Tensor, other: SampleState) -> SampleState:
-        """Return a state with another's samples for members where the condition, (B,) bool, is false."""
+        """Return a state with the samples of `other` for members where the condition, (B,) bool, is false."""
         return self._replace(
             belief=choose(condition, self.belief, other.belief),
             points=torch.where(condition[:, None, None], self.points, other.points),

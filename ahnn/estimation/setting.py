@@ -133,7 +133,7 @@ def near_system(truth: System | None, beside: System | None, space: Space) -> Sy
         space: description of the state components.
 
     Raises:
-        UserError: neither or both systems are given, or the units of the second differ.
+        UserError: neither or both systems are given, or the units of `beside` and `space` differ.
     """
     if beside is not None and (truth is not None or beside.units != space.units):
         received = f"the equations of {space.name}" if truth is not None else str(space.units)

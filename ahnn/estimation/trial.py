@@ -64,7 +64,7 @@ def assimilate(chosen: Filter, setting: Setting, problem: Problem) -> FilterResu
 
 
 class Behind(NamedTuple):
-    """Results of estimators that use all measurements, in addition to a filter.
+    """Results of estimators that use all measurements, obtained in addition to those of a filter.
 
     Attributes:
         smoothed: results of the requested smoothers, by name.
