@@ -18,7 +18,7 @@ class RandomNumbers(NamedTuple):
     """Random numbers at given filter counters.
 
     Attributes:
-        seed: seed of the filter.
+        seed: random seed of the filter.
         step: number of predictions so far.
         update: number of updates since the last prediction, including this one; 0 for the prediction itself.
     """

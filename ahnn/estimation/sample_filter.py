@@ -35,7 +35,7 @@ class SampleFilter(MemberFilter[SampleState]):
     """Filter with N samples for each of B members; subclasses are dataclasses.
 
     Attributes:
-        seed: seed of the random numbers; equal seeds give bitwise equal estimates.
+        seed: random seed; equal seeds give bit-identical estimates.
     """
 
     carried: ClassVar[type[MemberState]] = SampleState

@@ -27,7 +27,7 @@ class SampleState(NamedTuple):
         log_likelihood: (B,) float64.
         points: (B, N, D) float64 samples.
         log_weights: (B, N) float64 logarithms of normalised weights; -inf for zero weight.
-        seed: () int64, seed of the random numbers.
+        seed: () int64, random seed.
         updates: () int64, updates since the last prediction; with seed and steps it determines the next draw.
     """
 

@@ -14,7 +14,7 @@ from ahnn.rollouts import clock_of
 from ahnn.types import Flow
 
 MEASUREMENTS = 1_000_003
-"""Offset of the seed of measurement noise, which must differ from the seed of initial errors."""
+"""Offset added to the seed for measurement noise, which must differ from the seed for initial errors."""
 
 
 class Setting(NamedTuple):
@@ -121,7 +121,7 @@ def perturbed_arcs(
         count: number of arcs, each from a different trajectory.
         steps: length of an arc. Arcs shorter than their trajectory begin at evenly spaced times, so that all
             phases of the motion are covered. None: full trajectories.
-        seed: seed of initial errors and measurement noise.
+        seed: random seed for initial errors and measurement noise.
         controls: (N, T + 1, m) controls of the trajectories; None without controls.
         linear: whether controls are interpolated linearly between samples.
     """
