@@ -201,7 +201,7 @@ class MemberFilter(ABC, Generic[M]):
             measurement_noise: R, (M, M) or (B, M, M).
             dt: length of every step, or (T,) lengths; positive.
             smoothing: whether to keep the backward laws needed by `smoother`.
-            start_time: time of the initial belief; ignored for a state.
+            start_time: time of the initial belief; must be 0 for a state, which has its own time.
             gradients: whether to keep the graph, for example to learn from `log_likelihood`; costs memory.
 
         Raises:

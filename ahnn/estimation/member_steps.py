@@ -73,7 +73,7 @@ def member_rows(state: S, chosen: Tensor) -> S:
 
 
 def put_rows(state: S, chosen: Tensor, part: S) -> None:
-    """Write the state of members, by index or mask (B,), into the state of all, in place."""
+    """Write the state of some members, by index or mask (B,), into the state of all members, in place."""
     for whole, own in zip(_tensors(state), _tensors(part), strict=True):
         if whole.ndim:
             whole[chosen] = own

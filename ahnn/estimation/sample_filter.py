@@ -68,7 +68,7 @@ class SampleFilter(MemberFilter[SampleState]):
 
     @abstractmethod
     def noise(self, draw: Tensor, points: Tensor) -> Tensor:
-        """Return the numbers (B, N, D), from a normal draw, that are added to samples after scaling by Q."""
+        """Return numbers (B, N, D), from a normal draw, that are added to samples times a factor of Q."""
 
     def followed(self, state: SampleState, images: Tensor) -> tuple[Tensor, Tensor]:
         """Return propagated samples (B, N, D) and log weights (B, N), given the images of the samples."""

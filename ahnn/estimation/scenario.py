@@ -112,7 +112,7 @@ def perturbed_arcs(
     *,
     linear: bool = False,
 ) -> Problem:
-    """Cut arcs from trajectories and perturb their initial states, for tuning of estimators.
+    """Cut arcs from trajectories and perturb their initial states, for the tuning of estimators.
 
     Args:
         setting: measurement settings and P0.

@@ -31,13 +31,14 @@ def make_setting(
     cadence: Count,
     times: Sequence[float] | None,
 ) -> Setting:
-    """Build the setting of a system from the options of `UKFEvaluation`.
+    """Build the setting of a system from the options of `EstimatorEvaluation`.
 
     Args:
         system: measured system.
         steps: number of steps of the shortest trajectory.
         measurement: a measurement model, or the name of one that measures state components.
-        measurement_sd: standard deviations of its noise; None for the system's default, for positions.
+        measurement_sd: standard deviations of the noise; None for the system's default, if positions are
+            measured.
         start_sd: standard deviations of the initial state (`state_deviations`); None for the system's
             default.
         bias_sd: standard deviations of estimated measurement biases; None: no biases.

@@ -56,7 +56,7 @@ class StepRecord(NamedTuple):
 def collected(
     steps: list[StepRecord], before: MemberState, after: MemberState, present: Tensor, *, whole: bool
 ) -> FilterResult:
-    """Collect step records between two states into a result, NaN after the failure of a member.
+    """Collect step records between two states into a result; values are NaN from a member's failed step on.
 
     Args:
         steps: records of the T steps.

@@ -1,4 +1,4 @@
-"""Sequences of steps of one member, filtered in one call up to the first row that may be rejected or fail."""
+"""Sequences of steps of one member, filtered in one call until a row may be rejected or the member fail."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ class Behind(NamedTuple):
 def assimilate_all(
     chosen: Filter, setting: Setting, problem: Problem, smoothers: Sequence[str], *, batch: bool = False
 ) -> tuple[FilterResult, Behind]:
-    """Run a filter on a problem, its smoothers, and the other requested estimators.
+    """Run a filter, its smoothers and the other requested estimators on a problem.
 
     Rows rejected by the filter's gate are ignored by all of them.
     """
