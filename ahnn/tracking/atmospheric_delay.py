@@ -116,8 +116,8 @@ def radio_refractivity(air: Air) -> Array:
 def bending(elevation: Array, air: Air) -> Array:
     """Return the refraction in elevation, rad, (T,).
 
-    The cotangent of Bennett (1982), cot (E + 7.31 / (E + 4.4)) in degrees, replaces the cot E of a flat
-    atmosphere, (n - 1) cot E: both agree at high elevation, and Bennett's remains finite at the horizon.
+    The result is (n - 1) cot (E + 7.31 / (E + 4.4)), in degrees (Bennett 1982). It approaches (n - 1) cot E,
+    the refraction of a flat atmosphere, at high elevation, and remains finite at the horizon.
 
     Args:
         elevation: geometric elevation, rad, (T,); clamped at -1 degree.

@@ -39,7 +39,7 @@ class OrbitProblem:
 
     Attributes:
         forces: forces on the satellite.
-        model: measurement model with these forces.
+        model: measurement model.
         unknowns: estimated quantities.
         noise: initial standard deviations by station and kind, (stations, 6), km, rad and km/s.
         used: mask of fitted measurements, (N,) bool.

@@ -41,7 +41,7 @@ class EarthGravity:
 
 
 Recursion = tuple[tuple[Array, Array, float], ...]
-"""For each degree from 1: factors of z times the previous degree, of the one before that, and of x + i y."""
+"""For each degree from 1: factors on z times the previous degree, on the one before that, and on x + i y."""
 
 
 def recursion(degree: int, order: int) -> Recursion:

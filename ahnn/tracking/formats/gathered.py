@@ -27,7 +27,7 @@ ROUNDING = 1e-12
 
 
 def measured(kind: Kind, text: str, factor: float, place: Place, correction: float = 0.0) -> float:
-    """Parse a measurement to km, rad or km/s.
+    """Parse a measurement and convert it to km, rad or km/s.
 
     Args:
         kind: kind of the measurement.
