@@ -85,9 +85,9 @@ def energy_error(
 
 
 def flow_through_encounters(system: System, parts: int = 64) -> Flow:
-    """Return the exact flow of bodies with close encounters; substeps are chosen for interval / `parts`.
+    """Return the exact flow of bodies with close encounters, with at least `parts` substeps per interval.
 
-    Substeps are chosen from a few runs; the closest encounters among thousands of runs need shorter ones.
+    A few runs determine the number of substeps; the closest encounters among thousands of runs need more.
     """
     cut = {"dt": system.dt / parts, "steps": system.steps * parts}
     return exact_flow(dataclasses.replace(system, **cut))

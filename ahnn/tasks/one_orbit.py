@@ -41,7 +41,7 @@ def true_motion(x: Tensor, steps: int, dt: float) -> Tensor:
 
 
 def draw(k: int) -> Draw:
-    """Draw one noisy orbit, with the error of its continuation from the best-fitting start.
+    """Draw one noisy orbit; the score is the error of its continuation from the best-fitting start.
 
     Training uses pieces of the orbit with separate starts, since shooting over the entire orbit does not
     converge. The same orbit serves for validation and test, as there are no other data.

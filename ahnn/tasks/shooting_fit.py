@@ -1,6 +1,6 @@
 """Least-squares fit of starts and constants to noisy states, from predictions only.
 
-Predictions are compared with noisy states from the initial state that fits best. The same fit with the true
+If states are noisy, a prediction begins at the initial state that fits them best. The same fit with the true
 equations gives the floor of a task.
 """
 
