@@ -75,7 +75,7 @@ def _conclude(prepared: Prepared, best: Path, steps: int) -> None:
         about["val_loss"] = float(Shooting(None, robust).validation(learned, batch)["loss"])
         if len(states := fitted_states(dynamics, train, robust)) > 1:
             about["domain"] = find_domain(dynamics, states).about()
-        # Written first, since the weights then refer to it.
+        # Saved before the weights, which refer to it.
         save_uncertainty(folder, found, as_stored(dynamics.state_dict(), best))
     replace_weights(best, {} if found is None else dynamics.state_dict(), about)
 

@@ -18,9 +18,9 @@ from ahnn.types import Flow
 TIMED = 5
 """Number of timed steps."""
 FILTERED = 3.7
-"""Measured cost of a filter evaluation (seven runs on one degree of freedom), in open-loop predictions."""
+"""Measured cost of a filter evaluation (seven runs, one degree of freedom), in units of a prediction."""
 TESTS = 9.3
-"""Measured cost of the tests on unseen measurements, in fits of untrained dynamics to them."""
+"""Measured cost of tests on unseen measurements, in units of a fit of untrained dynamics to them."""
 FIGURES = 3.0
 """Time for figures in seconds."""
 

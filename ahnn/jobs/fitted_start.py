@@ -47,7 +47,7 @@ ITERATIONS = 30
 MOST = 0.2
 """Maximum number of outliers, as a fraction of all other measurements."""
 UNSEEN = 1e-7
-"""Ratio of smallest to largest singular value of the design below which a direction is undetermined."""
+"""Ratio of smallest to largest singular value of the design matrix below which a fit is undetermined."""
 
 
 class FittedStart(NamedTuple):
@@ -66,7 +66,7 @@ class BestFit(NamedTuple):
     """Fit of one state to measurements by least squares.
 
     Attributes:
-        trial: flow.
+        trial: flow with its Jacobians, and the loss.
         segment: measurements, NaN in place of outliers.
         steps: steps between measurement times.
         path: fitted path.

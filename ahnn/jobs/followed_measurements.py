@@ -56,7 +56,7 @@ class FollowedMeasurements:
         return [int(k) for k in np.flatnonzero(seen)]
 
     def __call__(self, number: int, reading: Reading, estimate: Estimate, counts: Counter[str]) -> None:
-        """Record the innovation of a reading; see `ahnn.assimilation.session.Watcher`."""
+        """Record the innovation of an accepted reading; see `ahnn.assimilation.session.Watcher`."""
         del number, counts
         if estimate.innovation is None or estimate.outcome != "taken":
             return
@@ -67,7 +67,7 @@ class FollowedMeasurements:
                 self.told.setdefault((station, kind), []).append((reading.time, e, sd))
 
     def lines(self, moments: Belief, time: float) -> list[str]:
-        """Return a table of innovations and biases, and the final estimates of known forces' parameters."""
+        """Return a table of innovations and biases, and the final parameters of known forces."""
         mean, deviations = moments.mean[0].tolist(), moments.chol[0].norm(dim=-1).tolist()
         known = {name: (mean[k], deviations[k]) for k, name in enumerate(self.names)}
         rows = []

@@ -107,7 +107,7 @@ def flow_of(problem: OrbitProblem) -> SatelliteFlow:
 
 
 def process_of(flow: SatelliteFlow, belief: OrbitBelief, orbit: OrbitFollowing) -> Process:
-    """Return the estimator with the forces of an orbit; augmented states begin with a belief."""
+    """Return the estimator with the forces of an orbit, started from a belief about all unknowns."""
     size = len(belief.mean)
     whole = initial_belief(belief.mean[None], 0.5 * (belief.covariance + belief.covariance.T))
     noise = torch.zeros(size, size, dtype=torch.float64)
@@ -139,7 +139,7 @@ def sensors_of(
 def fitted_start(
     asked: AssimilationRequest, orbit: OrbitFollowing
 ) -> tuple[PreparedOrbit, OrbitBelief, Mask]:
-    """Fit the first measurements; return the problem, the belief at the last of them, and those to filter.
+    """Fit the first measurements; return the problem, the belief at the last one, and a mask of the rest.
 
     Raises:
         UserError: the number of measurements to fit is not given.
