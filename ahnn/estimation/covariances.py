@@ -141,10 +141,7 @@ def _check_entries(matrix: Tensor, name: str) -> Tensor:
 
 
 def _check_eigenvalues(matrix: Tensor, scale: Tensor, failed: Tensor, name: str, definite: bool) -> None:
-    """Raise ValueError for the first failed matrix (B, D, D) whose eigenvalues are not those of a covariance.
-
-    A zero eigenvalue is an error if `definite`.
-    """
+    """Raise ValueError for the first failed matrix (B, D, D): indefinite, or singular if `definite`."""
     correlation = matrix / (scale.unsqueeze(-1) * scale.unsqueeze(-2))
     for b in torch.nonzero(failed).flatten().tolist():
         smallest = float(torch.linalg.eigvalsh(matrix[b])[0])

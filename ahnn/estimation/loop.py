@@ -38,7 +38,7 @@ class RunPlan(NamedTuple):
     Attributes:
         rows: (B, T, M) measurements, NaN where a component is missing.
         grid: the T time steps.
-        models: function that returns the models of step k, counted from 0; the same object for equal models.
+        models: function that returns the models of step k, from 0; the same object for equal models.
         present: (B, T, M) bool, the components that are not missing.
         some: T flags, whether any component of any member is measured.
         whole: T flags, whether all components of all members are measured.

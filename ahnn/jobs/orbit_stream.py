@@ -166,7 +166,7 @@ def fitted_count(wanted: float | None, held_out: float, count: int, *, whole: bo
         wanted: number, or a fraction below 1; None: all that are not held out.
         held_out: fraction held out.
         count: number of all measurements.
-        whole: whether all of them may be fitted, because others are filtered.
+        whole: whether all of them may be fitted.
 
     Raises:
         UserError: the number is undetermined.

@@ -18,7 +18,7 @@ APART = np.radians(5.0)
 ARC, SERIES, SHORT = np.radians(60.0), np.radians(25.0), np.radians(0.2)
 """Angle from the first to the last position or direction: maximum, maximum for Gauss, minimum."""
 NEAR = 1200.0
-"""Maximum time in seconds between a direction and the nearest range for which ranges are interpolated."""
+"""Maximum time in seconds from a direction to the nearest range for interpolation."""
 
 
 def gibbs(positions: Array) -> Array:
@@ -104,8 +104,8 @@ def orbit_of_positions(positions: Array, times: Array) -> OrbitOfPositions | Non
 def initial_orbit(model: TrackingModel) -> tuple[Array, float]:
     """Return a state (6,) in GCRF and its time, to start a fit of measurements.
 
-    The methods are Gibbs' or Herrick and Gibbs' for ranges with directions, and Gauss' for directions only.
-    The three measurements of a station span the longest arc of at most 60 degrees, or 25 for Gauss.
+    Ranges with directions use the method of Gibbs or of Herrick and Gibbs, directions alone that of Gauss.
+    The three measurements of a station span the longest arc up to 60 degrees, or 25 for Gauss.
 
     Raises:
         UserError: no station has measured enough directions.
@@ -154,10 +154,7 @@ def sightings(model: TrackingModel, station: int) -> tuple[Array, Array, Array]:
 
 
 def triple(vectors: Array, most: float = ARC) -> list[int] | None:
-    """Return the indices of three of the vectors (T, 3) that span the largest angle below `most`.
-
-    None if all angles are too small or too large.
-    """
+    """Return the indices of three of the vectors (T, 3) that span the largest angle below `most`, or None."""
     spread = np.unique(np.linspace(0, len(vectors) - 1, min(len(vectors), 40)).astype(int))
     wide = [(angle(vectors[i], vectors[j]), i, j) for i, j in combinations(spread.tolist(), 2) if j > i + 1]
     _, first, last = max((one for one in wide if SHORT < one[0] < most), default=(0.0, 0, 0))

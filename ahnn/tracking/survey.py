@@ -36,7 +36,7 @@ class SeriesSurvey(NamedTuple):
         passes: number of segments between long gaps.
         gap: longest gap, in seconds.
         outliers: indices of outliers among the measurements.
-        impossible: indices of ranges that differ from the preceding one by more than a satellite can move.
+        impossible: indices of ranges that change faster than a satellite moves.
     """
 
     station: str

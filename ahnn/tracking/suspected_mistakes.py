@@ -93,7 +93,7 @@ def size_of(problem: OrbitProblem, point: LinearisedOrbit) -> float:
 def nearest_first(problem: OrbitProblem) -> list[tuple[str, OrbitProblem]]:
     """Return the mistakes whose correction brings measurements closest to the initial orbit, best first.
 
-    Corrections that do not bring them closer are not fitted, since their paths diverge.
+    Other corrections are not fitted, since their paths diverge.
     """
 
     def distance(other: OrbitProblem) -> float:

@@ -122,7 +122,7 @@ def roles_of(
 
 
 def factor_of(kind: Kind, unit: str | None, place: Place) -> float:
-    """Return the factor from a unit to the unit of a kind; raises UserError for an incompatible unit."""
+    """Return the factor from a unit to the unit of a kind; raises UserError."""
     if unit is None:
         example = "deg" if UNITS[kind] == "rad" else UNITS[kind]
         place.refuse(f"a unit, such as {kind} [{example}]", "none")

@@ -58,7 +58,7 @@ class TdmLink:
         middle: seconds from the time tag of an integrated Doppler to the middle of its interval.
         interval: integration interval in seconds; 0 if unspecified.
         corrections: corrections to be added to the data, by data keyword, in the unit of the data.
-        blocked: keywords of data that cannot be read, with the expected and received metadata.
+        blocked: keywords of unreadable data, with expected and received metadata.
         remarks: remarks on unused content and on noteworthy interpretations.
     """
 
