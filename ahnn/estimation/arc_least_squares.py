@@ -40,7 +40,7 @@ class Arc(NamedTuple):
     prior: Belief
 
     def first(self, count: int) -> Arc:
-        """Return the arc truncated after its first measurements."""
+        """Return the arc truncated after its first `count` measured steps."""
         return self._replace(measured=self.measured[:count])
 
 
@@ -65,7 +65,7 @@ class Fit(NamedTuple):
 def followed(arc: Arc, start: Tensor) -> Fit:
     """Propagate initial states (B, D) and evaluate their residuals.
 
-    Derivatives are central differences over a small fraction of the prior's deviations: any flow is
+    Derivatives are central differences over a small fraction of the prior standard deviations: any flow is
     supported, and all paths are propagated in one batch.
     """
     steps = arc.measured[-1] + 1 if arc.measured else 0

@@ -53,7 +53,7 @@ def checked_sensor(
     """Return a measurement model with the factor of its noise R, (M, M) or (B, M, M).
 
     Raises:
-        ValueError: not a measurement model, or not a covariance.
+        ValueError: `measurement` is not a measurement model, or `noise` is not a covariance.
     """
     missing = [name for name in ("names", "__call__") if not hasattr(measurement, name)]
     if missing:
@@ -110,7 +110,7 @@ def checked_time(time: float, name: str) -> float:
 
 
 def checked_step(dt: Numbers) -> float:
-    """Return the length of one step; raises the errors of `checked_steps`."""
+    """Return the length of one step; raises the same errors as `checked_steps`."""
     return dt if _is_step(dt) else float(checked_steps(dt))
 
 

@@ -2,8 +2,9 @@
 
 The classical estimator of orbit determination (Tapley, Schutz & Born 2004, section 4.6), with an exact flow:
 the only unknown is the initial state, residuals are normalised by their standard deviations, and Gauss-Newton
-steps with individual damping are taken over growing spans. The covariance comes from the problem linearised
-at the solution, propagated along the path: it includes measurement noise and prior, but no error of the flow.
+steps, damped individually for each member, fit spans of increasing length. The covariance follows from the
+problem linearised at the solution and is propagated along the path: it accounts for measurement noise and
+prior, but not for errors of the flow.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ from ahnn.shooting.initial_states import GROWTH, SHORTEST, damped_moves
 from ahnn.types import Flow
 
 ROUGHLY, ITERATIONS = 3, 20
-"""Maximum number of iterations on a growing span, and on the complete one."""
+"""Maximum number of iterations on a growing span, and on the complete arc."""
 SETTLED = 1e-7
 """Relative change of the cost below which the iteration has converged."""
 CAREFUL, EAGER = 1e-3, 1e-6
-"""Initial damping on a growing span, and on the complete one."""
+"""Initial damping on a growing span, and on the complete arc."""
 SMALLEST, LARGEST = 1e-12, 1e9
 """Range of the damping."""
 
@@ -57,7 +58,7 @@ class BatchResult(NamedTuple):
     settled: Tensor
 
     def of_states(self, size: int) -> BatchResult:
-        """Return the marginals of the leading components, which are the leading blocks."""
+        """Return the marginals of the leading components, given by the leading blocks."""
         return self._replace(
             initial=leading(self.initial, size),
             means=self.means[..., :size],
@@ -88,7 +89,7 @@ def batch_least_squares(
         start_time: time of the belief.
 
     Raises:
-        ValueError: an invalid argument, named as in filters.
+        ValueError: an invalid argument, with the same messages as filters.
     """
     check_belief(belief)
     sensor = checked_sensor(measurement, measurement_noise, belief, None)
@@ -106,7 +107,7 @@ def batch_least_squares(
 
 
 def _refined(arc: Arc, start: Tensor, iterations: int, first: float) -> tuple[Fit, Tensor]:
-    """Iterate with damping per member, at most `steps` times; return fit and mask of converged members."""
+    """Iterate at most `iterations` times, with damping per member; return fit and converged members."""
     fit, damping = followed(arc, start), start.new_full((len(start),), first)
     settled = ~fit.sums.isfinite()
     for _ in range(iterations):

@@ -49,5 +49,5 @@ def choose(condition: Tensor, yes: Belief, no: Belief) -> Belief:
 
 
 def leading(belief: Belief, size: int) -> Belief:
-    """Return the marginal of the leading components: the leading block of a lower factor is its factor."""
+    """Return the marginal of the leading components; its factor is the leading block of the lower factor."""
     return Belief(belief.mean[..., :size], belief.chol[..., :size, :size])

@@ -27,7 +27,7 @@ def conditioned(
     """Return the posterior (Kailath, Sayed & Hassibi 2000, chapter 12).
 
     Args:
-        prior: (B, D) prior mean.
+        prior: belief before the measurement; only its mean is used.
         joint: (B, M + D, M + D) lower factor of the covariance of measurement (with noise) and state:
             [[chol_y, 0], [cross, chol]]. A missing component has variance one and no correlation.
         innovation: (B, M), zero where the component is missing.

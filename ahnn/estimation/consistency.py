@@ -1,8 +1,8 @@
 """Consistency tests of filters: NEES, NIS, coverage and their acceptance bands.
 
 Definitions and bands: Bar-Shalom, Li & Kirubarajan 2001, section 5.4. Innovations of a consistent filter
-are white: the NIS of all members and times are independent. Its errors are correlated in time, and the NEES
-of one member at many times count as fewer independent values.
+are white: the NIS of all members and times are independent. Estimation errors are correlated in time: the
+NEES of one member at N times count as fewer than N independent values.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def band(degrees: float, count: float, probability: float = 0.95) -> tuple[float
     Kirubarajan 2001, section 5.4.2).
 
     Args:
-        degrees: degrees of freedom of each: D for a NEES, M for a NIS; their mean where they differ.
+        degrees: degrees of freedom of each variable: D for NEES, M for NIS; the mean if they differ.
         count: number N of values: members for the mean over members at one time; for means over members and
             times, all rows for an NIS and `independent_count` for a NEES.
         probability: probability of the band, with equal tails.
@@ -48,8 +48,8 @@ def band(degrees: float, count: float, probability: float = 0.95) -> tuple[float
 def independent_count(values: Tensor) -> float:
     """Return the effective number of independent values among (B, T), for the variance of their mean.
 
-    The effective number of N values is N over their `correlation_time` (Bayley & Hammersley 1946), at most N
-    and at least one per member.
+    The effective number of N values is N divided by their `correlation_time` (Bayley & Hammersley 1946), at
+    most N and at least one per member.
 
     Args:
         values: (B, T), NaN where missing; each row contains all values correlated with one another.
@@ -65,8 +65,8 @@ def correlation_time(values: Tensor) -> float | None:
     """Return 1 + 2 sum_k (1 - k/T) rho_k of values (B, T), in samples; None for constant values.
 
     The autocorrelations rho_k are estimated from all members, and summed up to the first pair of lags with a
-    non-positive sum (Geyer 1992, section 3.3: beyond it is noise). A first-order Gauss-Markov process with
-    lag-one correlation a has (1 + a) / (1 - a), for large T.
+    non-positive sum, beyond which estimates are noise (Geyer 1992, section 3.3). A first-order Gauss-Markov
+    process with lag-one correlation a has the result (1 + a) / (1 - a) for large T.
 
     Args:
         values: (B, T), NaN where missing.

@@ -28,21 +28,21 @@ class Judged(NamedTuple):
         return f"{self.mean:.3g} {'in' if self.inside else 'not in'} {low:.3g} to {high:.3g}"
 
     def of_exact_starts(self) -> str:
-        """Return the mean of a filter with exact start, without verdict: the mean is then biased low."""
+        """Format the mean of a filter with exact start, which biases it low: no verdict below the band."""
         low, high = self.limits
         return f"{self.mean:.3g} below {low:.3g} to {high:.3g}" if self.mean < low else str(self)
 
 
 def judged_nees(values: Tensor, degrees: int) -> Judged:
-    """Return the mean of NEES (B, T), NaN where ignored.
+    """Return the mean of NEES (B, T), NaN where ignored, with its band.
 
-    The NEES is correlated in time: the band uses `independent_count` values.
+    The NEES is correlated in time: the band is that of `independent_count` values.
     """
     return Judged(float(values.nanmean()), band(degrees, independent_count(values)))
 
 
 def judged_nis(result: FilterResult) -> Judged:
-    """Return the mean NIS over accepted rows of all members and times.
+    """Return the mean NIS over accepted rows of all members and times, with its band.
 
     Innovations are white: the sum is chi-square with as many degrees of freedom as measured values.
     """

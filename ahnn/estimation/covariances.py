@@ -90,7 +90,7 @@ def covariance_factor(matrix: Covariance, name: str, *, batch: int, size: int, d
 
 
 def _checked_factor(stacked: Tensor, name: str, definite: bool) -> Tensor:
-    """Return factors of matrices (B, D, D), possibly singular; raises the errors of `covariance_factor`."""
+    """Return factors of matrices (B, D, D), possibly singular; errors as in `covariance_factor`."""
     scale = _check_entries(stacked.detach(), name)
     # A component of zero variance has a zero row in the factor; gradients of the other components bypass it.
     still = torch.diagonal(stacked.detach(), dim1=-2, dim2=-1) == 0.0
@@ -141,7 +141,7 @@ def _check_entries(matrix: Tensor, name: str) -> Tensor:
 
 
 def _check_eigenvalues(matrix: Tensor, scale: Tensor, failed: Tensor, name: str, definite: bool) -> None:
-    """Raise ValueError for the first matrix (B, D, D) with eigenvalues impossible for a covariance."""
+    """Raise ValueError for the first failed matrix (B, D, D): indefinite, or singular if `definite`."""
     correlation = matrix / (scale.unsqueeze(-1) * scale.unsqueeze(-2))
     for b in torch.nonzero(failed).flatten().tolist():
         smallest = float(torch.linalg.eigvalsh(matrix[b])[0])
@@ -160,7 +160,7 @@ def _check_eigenvalues(matrix: Tensor, scale: Tensor, failed: Tensor, name: str,
 
 
 def _semidefinite_factor(matrix: Tensor, scale: Tensor) -> Tensor:
-    """Return lower factors of positive semidefinite matrices (B, D, D), also with zero eigenvalues."""
+    """Return lower factors of positive semidefinite matrices (B, D, D), including singular ones."""
     values, vectors = torch.linalg.eigh(matrix / (scale.unsqueeze(-1) * scale.unsqueeze(-2)))
     rows = (vectors * values.clamp(min=0.0).sqrt().unsqueeze(-2)).mT * scale.unsqueeze(-2)
     return tria(rows)

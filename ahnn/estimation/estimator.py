@@ -1,14 +1,14 @@
 """Estimator protocols, from single steps to batches.
 
-    State       variables carried between two calls: a NamedTuple of tensors, so that any state is saved and
-                restored exactly (`save_state`). It has a time, a status of each member, and moments.
+    State       variables carried from one call to the next: a NamedTuple of tensors, so that any state is
+                saved and restored exactly (`save_state`), with time, moments and the status of each member.
     Recursive   start, predict, update: pure functions of a state, sufficient for streams
                 (`ahnn.assimilation`).
     Estimator   a Recursive with a name and a gate that also filters batches of rows, for evaluations,
                 fits of process noise and figures (`ahnn.evaluation.estimators`).
-    Kernel      the two formulas of a Gaussian filter. `GaussianFilter` turns a kernel into an Estimator: it
-                adds argument checks, gating, missing data, status and freezing of members, counts of
-                repairs, and smoothing.
+    Kernel      prediction and update formulas of a Gaussian filter. `GaussianFilter` turns a kernel into an
+                Estimator: it adds argument checks, gating, missing data, status and freezing of members,
+                counts of repairs, and smoothing.
 
 Further estimated quantities (a force error, learned parameters) are appended to the state by
 `ahnn.estimation.force_error` and `parameter_error`: an estimator receives augmented states and their flow.
@@ -72,12 +72,12 @@ class RecursiveEstimator(Protocol[S]):
 
     @property
     def name(self) -> str:
-        """Name in tables and of the configuration node, such as `ukf`."""
+        """Name in tables and in the configuration, such as `ukf`."""
         ...
 
     @property
     def about(self) -> dict[str, Any]:
-        """Plain values that determine its estimates and must match a saved state."""
+        """Plain values that determine the estimates and must match those of a saved state."""
         ...
 
     def start(self, belief: Belief, time: float = 0.0) -> S:

@@ -1,16 +1,16 @@
 """Coloured, state-dependent process noise: a relative error of the flow's force.
 
 A learned force has about the same relative error everywhere, with the same sign for some time. Each degree of
-freedom therefore has an additional state, the relative force error e, a first-order Gauss-Markov process
-(Tapley, Schutz & Born 2004, section 4.9) that is constant over a step:
+freedom therefore has an additional state, the relative force error e: a first-order Gauss-Markov process
+(Tapley, Schutz & Born 2004, section 4.9), constant during a step:
 
     p' = F_p(x) + e |F_p(x) - p|,   q' = F_q(x) + dt / (2 m) e |F_p(x) - p|,   e' = exp(-dt / memory) e + w,
 
 with w ~ N(0, size² (1 - exp(-2 dt / memory))), which keeps the variance of e at size². The impulse of the
-step, F_p(x) - p, represents the force and exists for any flow. The error is largest where the force is, at
+step, F_p(x) - p, represents the force and exists for any flow. Like the force, the error is largest at
 perigee, where constant process noise is too small, and it persists over many steps. Far from the training
-data, or where parameters leave the force undetermined, e is multiplied by `growth`, since the learned force
-has larger errors there.
+data, or where the data do not determine the force, the learned force has larger errors; there, `growth`
+multiplies e.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ class ForceError(NamedTuple):
     Attributes:
         size: standard deviation of each component of e, a number or (B,).
         memory: time constant, in the unit of the flow.
-        inertia: the factor m of p = m dq/dt.
-        growth: factor (...) on the error at the states (..., 2 n); None for 1 everywhere.
+        inertia: the factor m in p = m dq/dt.
+        growth: function from states (..., 2 n) to factors (...) on the error; None for 1 everywhere.
     """
 
     size: Tensor | float
@@ -45,11 +45,11 @@ class ForceError(NamedTuple):
 
     @property
     def about(self) -> list[float]:
-        """Plain numbers that identify an error model, except for its growth."""
+        """Plain numbers that identify the error model, except for its growth."""
         return [float(part) for part in self[:3]]
 
     def numbers(self, states: Tensor) -> Tensor:
-        """Return numbers that identify an error model, at states (B, T, D)."""
+        """Return numbers that identify the error model, with growth averaged over states (B, T, D)."""
         mean = 1.0 if self.growth is None else float(self.growth(states).mean())
         return torch.tensor([*self.about, mean])
 
@@ -82,7 +82,7 @@ class ForceError(NamedTuple):
         return augmented
 
     def process_noise(self, additive: Tensor, dt: float) -> Tensor:
-        """Return Q of one step of augmented states, (3 n, 3 n) or (B, 3 n, 3 n).
+        """Return Q of augmented states for one step, (3 n, 3 n) or (B, 3 n, 3 n).
 
         Args:
             additive: covariance Q of the state itself, (2 n, 2 n) or (B, 2 n, 2 n).

@@ -1,9 +1,9 @@
-"""Fit of size and memory of a relative force error to a flow's residuals on validation trajectories.
+"""Fit of a relative force error, its size and memory, to the residuals of a flow on validation trajectories.
 
 The momentum residual of a step divided by its impulse is a direct observation of the error e of `ForceError`:
 its correlation time gives the memory, its root mean square the size. As with Q in `process_noise`, the size
-is then scaled until the mean NEES on validation arcs is D, since the error of a learned force is not a
-Gauss-Markov process and differs between orbits.
+is then scaled until the mean NEES on validation arcs is D, since the error of a learned force is not exactly
+a Gauss-Markov process and differs between orbits.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from ahnn.statistics import Statistics
 from ahnn.types import Flow, Trajectories
 
 SCALES = tuple(10.0**k for k in range(-1, 3))
-"""Candidate factors of size²."""
+"""Candidate factors on size²."""
 
 
 class FittedForceError(NamedTuple):
-    """Force error with size² equal to `scale` times the size² of one step, and mean NEES of candidates."""
+    """Force error, factor on size² of the one-step residuals, and mean NEES of each candidate factor."""
 
     error: ForceError
     scale: float
@@ -50,14 +50,14 @@ def fitted_force_error(
     """Fit the force error for which a filter is consistent on validation data.
 
     Args:
-        chosen: filter to be tuned.
+        chosen: filter whose force error is fitted.
         setting: measurement settings and P0.
         problem: V validation arcs for the choice of size.
         trajectories: trajectories with a common sampling interval, whose residuals give size and memory.
-        inertia: the factor m of p = m dq/dt.
+        inertia: the factor m in p = m dq/dt.
         size: prescribed size; None: the size of the residuals, scaled.
         memory: prescribed time constant; None: the time constant of the residuals.
-        growth: factor on the error at a state; None for 1 everywhere.
+        growth: function from states to factors on the error; None for 1 everywhere.
     """
     dt = float(Statistics.of(trajectories).dt)
     errors = force_errors(chosen.flow, trajectories, dt, growth)

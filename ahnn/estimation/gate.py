@@ -17,7 +17,7 @@ class Gate(NamedTuple):
     Attributes:
         probability: a row is rejected when its NIS exceeds this quantile of the chi-square distribution.
         patience: number of consecutive rejections that lead to `Status.DIVERGED`.
-        reopens: whether streams then widen the belief instead, see `ahnn.estimation.reopening`.
+        reopens: whether filters of streams then widen the belief instead, see `ahnn.estimation.reopening`.
     """
 
     probability: float = 0.9999

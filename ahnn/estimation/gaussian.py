@@ -34,12 +34,12 @@ class GaussianFilter(MemberFilter[FilterState]):
         """Return the kernel for beliefs of this shape, on this device."""
 
     def stepper(self, kernel: Kernel, plan: RunPlan, *, smoothing: bool) -> FilterLoop[FilterState]:
-        """Return the steps of a run."""
+        """Return the step function of a run for a kernel."""
         del plan
         return stepper(kernel, smoothing=smoothing)
 
     def steps(self, state: FilterState, plan: RunPlan, *, smoothing: bool) -> FilterLoop[FilterState]:
-        """Return the steps of a run, with one kernel for all."""
+        """Return the step function of a run, with the same kernel in all steps."""
         return self.stepper(self.kernel(state.belief), plan, smoothing=smoothing)
 
     def initial(self, belief: Belief, time: float) -> FilterState:

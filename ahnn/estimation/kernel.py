@@ -54,7 +54,7 @@ def update(
 
 
 def _within_gate(updated: Updated, sensor: SensorModel) -> bool:
-    """Return whether every member is so close to its row that any gate accepts it, whatever its size."""
+    """Return whether every NIS is within the smallest threshold of the gate, that of a single component."""
     return sensor.thresholds is None or bool((updated.nis <= sensor.thresholds[1]).all())
 
 
@@ -71,7 +71,7 @@ def propagate(flow: Flow, points: Tensor, dt: float) -> Tensor:
 
 
 def require_states(propagated: object, shape: torch.Size) -> None:
-    """Raise ValueError if a flow returns anything but states of its input's shape."""
+    """Raise ValueError if a flow returns anything but real states with the shape of its input."""
     if not _is_real(propagated, shape):
         message = (
             f"flow: expected flow(x, dt) to return a real tensor with the shape of x, {tuple(shape)}; "
@@ -115,7 +115,7 @@ def checked_prediction(state: Kept) -> Kept:
 
 
 def taken(state: FilterState, updated: Updated) -> FilterState:
-    """Return the state after an update accepted by every member, equal to the result of `decided`."""
+    """Return the state after an update that every member accepts; equal to the result of `decided`."""
     return state._replace(
         belief=updated.belief,
         rejections=torch.zeros_like(state.rejections),

@@ -26,8 +26,8 @@ class Learned(NamedTuple):
 
     Attributes:
         parameters: (P,) maximiser of the log-likelihood.
-        deviations: (P,) their standard deviations, from the curvature there; all NaN without a maximum, if
-            the measurements leave a parameter undetermined.
+        deviations: (P,) standard deviations, from the curvature at the maximum; all NaN if there is no
+            maximum, since the measurements do not determine a parameter.
         log_likelihood: sum over all members.
     """
 
@@ -39,13 +39,13 @@ class Learned(NamedTuple):
 def learned_noise(
     filtered: Callable[[Tensor], FilterResult], guess: Tensor, *, iterations: int = 30, step: float = 1e-3
 ) -> Learned:
-    """Estimate the noise parameters of maximum likelihood.
+    """Estimate the noise parameters that maximise the likelihood.
 
     Args:
         filtered: function that runs a filter with `gradients=True` and noise parameters (P,).
         guess: (P,) initial parameters of order one, such as logarithms.
         iterations: maximum number of iterations.
-        step: step of the central differences of the gradient, for the deviations.
+        step: step of the central differences of the gradient, which give the deviations.
 
     Raises:
         UserError: the guess makes a filter member fail, or has no gradient.

@@ -53,8 +53,8 @@ def downdate(chol: Tensor, vector: Tensor) -> tuple[Tensor, Tensor]:
 def cholesky_repaired(covariance: Tensor) -> tuple[Tensor, Tensor]:
     """Return lower Cholesky factors, repaired where the covariance is not positive definite.
 
-    The repair raises the eigenvalues of the correlation matrix to D eps. Only members that need it are
-    changed, and they are reported.
+    The repair raises the eigenvalues of the correlation matrix to at least D eps. Only members that need it
+    are changed, and they are reported.
 
     Args:
         covariance: (B, D, D), symmetric.

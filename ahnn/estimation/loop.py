@@ -33,15 +33,15 @@ class StepModel(NamedTuple):
 
 
 class RunPlan(NamedTuple):
-    """Steps of a run, for filters that look ahead.
+    """All steps of a run, for filters that look ahead.
 
     Attributes:
         rows: (B, T, M) measurements, NaN where a component is missing.
         grid: the T time steps.
         models: function that returns the models of step k, from 0; the same object for equal models.
         present: (B, T, M) bool, the components that are not missing.
-        some: T flags, whether any member has a component.
-        whole: T flags, whether no member lacks a component.
+        some: T flags, whether any component of any member is measured.
+        whole: T flags, whether all components of all members are measured.
     """
 
     rows: Tensor
@@ -71,8 +71,8 @@ class FilterLoop(Protocol[M]):
     ) -> tuple[M, StepRecord]:
         """Return the state after step k, which ends at `time`, and its record; the row may be None.
 
-        A step function may also do the following steps of its plan: the state is that after all steps of the
-            record.
+        A step function may also perform subsequent steps of its plan; the state is then the one after the
+        last step of the record.
         """
         ...
 

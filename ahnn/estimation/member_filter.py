@@ -2,7 +2,7 @@
 
 A filter stores no data: all information is in the state, which is passed in and returned, and may be kept,
 saved (`ahnn.estimation.save_state`) and continued. Every step is differentiable. A failed member receives a
-status and raises no error, but may make gradients with respect to shared inputs NaN.
+status and raises no error, but gradients with respect to shared inputs may become NaN.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class MemberFilter(ABC, Generic[M]):
     @property
     @abstractmethod
     def name(self) -> str:
-        """Name in tables and of the configuration node."""
+        """Name in tables and in the configuration."""
 
     @property
     def definite(self) -> bool:
@@ -67,7 +67,7 @@ class MemberFilter(ABC, Generic[M]):
 
     @property
     def about(self) -> dict[str, Any]:
-        """Plain values that determine its estimates."""
+        """Plain values that determine the estimates."""
         return {"estimator": self.name, "gate": self.gate}
 
     @property
@@ -129,8 +129,8 @@ class MemberFilter(ABC, Generic[M]):
             state: state before the step.
             flow: any function (x (N, D), dt) -> (N, D).
             dt: length of the step, positive.
-            process_noise: covariance Q of the step, (D, D) or (B, D, D), its `Factor`, or a function of its
-                length.
+            process_noise: covariance Q of the step, (D, D) or (B, D, D), its `Factor`, or a function of the
+                step's length.
 
         Raises:
             ValueError: an invalid state, a step that is not positive, a Q that is not a covariance, or a flow
@@ -157,8 +157,8 @@ class MemberFilter(ABC, Generic[M]):
             measurement_noise: covariance R, (M, M) or (B, M, M), or its `Factor`; may vary between rows.
 
         Raises:
-            ValueError: an invalid state, a row of the wrong shape or infinite, an R that is not a covariance,
-                or a model that returns a wrong shape or complex numbers.
+            ValueError: an invalid state, a row of wrong shape or with infinite values, an R that is not a
+                covariance, or a model that returns a wrong shape or complex numbers.
         """
         check_state(state, self.carried)
         sensor = checked_sensor(
@@ -201,15 +201,15 @@ class MemberFilter(ABC, Generic[M]):
             measurement_noise: R, (M, M) or (B, M, M).
             dt: length of every step, or (T,) lengths; positive.
             smoothing: whether to keep the backward laws needed by `smoother`.
-            start_time: time of the initial belief; ignored for a state.
+            start_time: time of the initial belief; must be 0 for a state, which has its own time.
             gradients: whether to keep the graph, for example to learn from `log_likelihood`; costs memory.
 
         Raises:
             ValueError: an invalid argument, named in the message: wrong type or shape, complex numbers,
                 infinite measurements, matrices that are not covariances, steps that are not positive, or
-                incompatible constants. Raised within the loop for a flow or measurement model that returns a
-                wrong shape, and for a process noise function that returns no covariance for some length.
-                Failures of individual members raise no error and appear in the result's `status`.
+                incompatible constants. Raised during the run for a flow or measurement model that returns a
+                wrong shape, and for a process noise function whose result is not a covariance for some
+                length. Failures of individual members raise no error and appear in the result's `status`.
         """
         state = self._begun(belief, start_time)
         with torch.set_grad_enabled(gradients):
@@ -240,7 +240,7 @@ class MemberFilter(ABC, Generic[M]):
 def _told(
     before: MemberState, after: MemberState, y: Tensor, updated: Updated, rejected: Tensor
 ) -> Innovation:
-    """Return the innovation of a row; NaN for members that failed at it or before."""
+    """Return the innovation of a row; NaN for members that failed at this row or before."""
     present = ~torch.isnan(y)
     there = present & after.alive[:, None]
     residual, deviation, nis = updated.innovation, updated.deviation, updated.nis

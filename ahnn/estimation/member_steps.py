@@ -20,7 +20,7 @@ TIMELESS = (Position, State)
 class MemberFlow(NamedTuple):
     """Flow with an individual step length and start time for each of B members.
 
-    The time step passed to it is the fraction of these steps; 1 gives full steps.
+    The time step passed to it is a fraction of these lengths; 1 gives full steps.
 
     Attributes:
         flow: any flow without controls.
@@ -73,7 +73,7 @@ def member_rows(state: S, chosen: Tensor) -> S:
 
 
 def put_rows(state: S, chosen: Tensor, part: S) -> None:
-    """Write the state of members, by index or mask (B,), into the state of all, in place."""
+    """Write the state of some members, by index or mask (B,), into the state of all members, in place."""
     for whole, own in zip(_tensors(state), _tensors(part), strict=True):
         if whole.ndim:
             whole[chosen] = own

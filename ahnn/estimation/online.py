@@ -1,7 +1,7 @@
-"""Online process of an estimator with a learned flow: Q for any step length, with or without memory.
+"""Process model for online estimation with a learned flow: Q for any step length, with or without memory.
 
-Q is fitted for the sampling interval h of the training data. For a step dt it is scaled as white noise of
-equal intensity, Q dt / h; a force error with memory is defined for any step.
+Q is fitted for the sampling interval h of the training data. For a step dt it is scaled like white noise of
+constant intensity, Q dt / h; a force error with memory is defined for any step.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class WhiteNoise:
     """White process noise for steps of any length.
 
     Args:
-        chol: (D, D) factor of Q of a step of `interval`.
+        chol: (D, D) factor of Q for a step of length `interval`.
         interval: length of that step.
     """
 
@@ -78,18 +78,18 @@ class WhiteNoise:
         self._known = lru_cache(LENGTHS)(lambda dt: Factor(math.sqrt(dt / interval) * chol))
 
     def __call__(self, dt: float) -> Factor:
-        """Return the factor of Q of a step dt."""
+        """Return the factor of Q for a step dt."""
         return self._known(dt)
 
     def each(self, lengths: Tensor) -> Factor:
         """Return the factors (B, D, D) of Q for steps (B,)."""
-        # Rounded correctly, as by math.sqrt; the square root of torch may differ in the last bit.
+        # Correctly rounded, like math.sqrt; torch.sqrt may differ in the last bit.
         roots = torch.from_numpy(np.sqrt((lengths / self.interval).numpy()))
         return Factor(roots[:, None, None] * self.chol)
 
 
 def weights_hash(flow: Flow) -> str:
-    """Return the hash of the weights of a flow, "" for a flow without weights."""
+    """Return the hash of a flow's weights, "" for a flow without weights."""
     if not isinstance(flow, nn.Module):
         return ""
     parts = {name: part.contiguous() for name, part in flow.state_dict().items()}
@@ -97,6 +97,6 @@ def weights_hash(flow: Flow) -> str:
 
 
 def _augmented(chol: Tensor, error: ForceError | ParameterError, dt: float) -> Factor:
-    """Return the factor of Q of augmented states over a step dt, from the factor of the state."""
+    """Return the factor of Q of augmented states for a step dt, given the factor for the state itself."""
     own = error.process_noise(torch.zeros_like(chol), dt)[len(chol) :, len(chol) :].sqrt()
     return Factor(torch.block_diag(chol, own))

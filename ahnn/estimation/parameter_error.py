@@ -2,7 +2,7 @@
 
 The field is f(x) + C(x) eta, with unknown constant coordinates eta along uncertain directions of the
 parameters, a priori N(0, I). A step applies half the increment of C(x) eta, the flow, and the other half
-(Strang splitting). There is no process noise: errors of a learned force recur on every orbit, and
+(Strang splitting). The parameters have no process noise: errors of a learned force recur on every orbit, and
 measurements determine them.
 """
 
@@ -43,11 +43,11 @@ class ParameterError(NamedTuple):
 
     @property
     def about(self) -> list[float | str]:
-        """Plain values that identify an error model for given weights."""
+        """Plain values that identify the error model for given weights."""
         return [float(self.added), float(self.size), self.name]
 
     def numbers(self, states: Tensor) -> Tensor:
-        """Return numbers that identify an error model, at states (B, T, D)."""
+        """Return numbers that identify the error model, with columns at the first of states (B, T, D)."""
         return torch.cat(
             (
                 torch.tensor([float(self.added), float(self.size)]),
@@ -56,7 +56,7 @@ class ParameterError(NamedTuple):
         )
 
     def belief(self, belief: Belief) -> Belief:
-        """Return the augmented belief, with parameters independent of the state."""
+        """Return the augmented belief, with parameters that are independent of the state."""
         mean, chol = belief
         (batch, size), count = mean.shape, self.added
         own = torch.as_tensor(self.size, dtype=mean.dtype, device=mean.device).expand(batch)
@@ -82,7 +82,7 @@ class ParameterError(NamedTuple):
         return augmented
 
     def process_noise(self, additive: Tensor, dt: float) -> Tensor:
-        """Return Q of one step of augmented states, whose parameters are constant."""
+        """Return Q of augmented states for one step; the parameters are constant."""
         del dt
         return torch.nn.functional.pad(additive, (0, self.added, 0, self.added))
 
@@ -92,7 +92,7 @@ class ParameterError(NamedTuple):
 
 
 def field_columns(dynamics: Dynamics, directions: Tensor) -> Callable[[Tensor], Tensor]:
-    """Return x (..., D) -> derivatives of the field along parameter directions (P, K), (..., D, K)."""
+    """Return x (..., D) -> (..., D, K), derivatives of the field along parameter directions (P, K)."""
     theta = parameters_to_vector(dynamics.parameters()).detach()
     forcing, along = field_jacobian(cast(HasField, dynamics)), directions.float()
 

@@ -30,7 +30,7 @@ def same(value: Any) -> Any:
 
 
 class StepLaw(NamedTuple):
-    """Data for a step backwards: means (B, D) before the step and as predicted, and the smoother's law."""
+    """Data of a backward step: means (B, D) before the step and predicted after it, and the backward law."""
 
     before: Tensor
     predicted: Tensor
@@ -46,7 +46,8 @@ class Process(NamedTuple):
         noise: Q of a step as a function of its length; an optional method `each` returns factors (B, D, D)
             for lengths (B,).
         max_step: longest step of the flow; longer gaps are divided into equal steps.
-        lifted: map from a belief about the state to the augmented belief, state first.
+        lifted: map from a belief about the state to the augmented belief, whose first components are the
+            state.
         seen: map from a measurement model of the state to one of the augmented state.
         about: plain values that identify the process.
     """
@@ -72,14 +73,14 @@ class Process(NamedTuple):
         controls: ControlTable | None = None,
         laws: list[StepLaw] | None = None,
     ) -> S:
-        """Return the state of the time `since` propagated to a later time.
+        """Propagate an estimator state to a later time; an equal or earlier time leaves it unchanged.
 
         Args:
             state: estimator state.
-            since: its time.
+            since: time of the state.
             time: later time.
             controls: controls of the flow after `since`, or None; no step crosses one of their jumps.
-            laws: list to which a Gaussian filter adds the laws of the steps, or None.
+            laws: list to which the backward laws of a Gaussian filter are appended, or None.
         """
         if not time > since:
             return state
@@ -99,7 +100,7 @@ class Process(NamedTuple):
         return state
 
     def _with_law(self, state: S, flow: Flow, length: float, laws: list[StepLaw]) -> S:
-        """Return the state after a step, and append the law of the step."""
+        """Return the state after a step, and append the backward law of the step."""
         before, filtering = cast(FilterState, state), cast("GaussianFilter", self.estimator)
         chol_q = process_factor(self.noise(length), before.belief)(length)
         given = before, flow, length, before.time + length, chol_q
@@ -145,7 +146,7 @@ class Process(NamedTuple):
 
 
 def factored(covariance: Covariance) -> Tensor:
-    """Return the lower factor (D, D) of a process noise (D, D); raises ValueError for other matrices."""
+    """Return the lower factor (D, D) of a covariance Q (D, D); raises ValueError for other matrices."""
     if isinstance(covariance, Factor):
         return covariance.chol
     size = len(torch.as_tensor(covariance))

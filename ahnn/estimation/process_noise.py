@@ -5,9 +5,9 @@ The shape of Q is the second moment of the one-step residuals r = F(x_k) - x_{k+
     Q1 = 1/N sum r rᵀ.
 
 The filter adds Q at every step, assuming residuals that are independent in time. Residuals of a deterministic
-model are correlated: over h steps in one direction their covariance grows to h² Q1, compared with h Q1 for
-white noise, and a filter with Q1 is overconfident (mean NEES of 100 and more instead of D, measured on
-trained models). Hence
+model are correlated: over h steps in one direction the covariance of their sum grows to h² Q1, compared with
+h Q1 for white noise, and a filter with Q1 is overconfident (trained models had mean NEES of 100 and more
+instead of D). Hence
 
     Q = c Q1,
 
@@ -38,7 +38,7 @@ PAIRS = 20_000
 
 
 class FittedNoise(NamedTuple):
-    """Q = scale * one_step, with the mean NEES of each candidate scale, inf where members failed."""
+    """Q = scale * one_step, with the mean NEES for each candidate scale, inf where members failed."""
 
     covariance: Tensor
     one_step: Tensor
@@ -50,7 +50,7 @@ class FittedNoise(NamedTuple):
 def one_step_covariance(flow: Flow, trajectories: Trajectories) -> Tensor:
     """Return the second moment (D, D) of the one-step residuals of a flow.
 
-    The mean is not subtracted: a constant error is an error. Residuals that are not finite are omitted.
+    The mean is not subtracted, so that a constant error counts. Residuals that are not finite are omitted.
     """
     size = trajectories.states.shape[-1]
     before = trajectories.states[:, :-1].reshape(-1, size)
@@ -90,7 +90,7 @@ def mean_nees(chosen: Filter, setting: Setting, problem: Problem, scales: tuple[
         chosen: filter.
         setting: measurement settings and P0.
         problem: V validation arcs.
-        scales: factors of the process noise.
+        scales: factors on the process noise.
     """
     batch, samples, _ = problem.truth.shape
     column = torch.tensor(scales, dtype=torch.float64).repeat_interleave(batch)

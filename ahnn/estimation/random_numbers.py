@@ -1,8 +1,8 @@
 """Counter-based random numbers of sample filters, reproducible on any device.
 
 A counter-based generator (Salmon, Moraes, Dror & Shaw 2011, "Parallel random numbers: as easy as 1, 2, 3";
-Philox of numpy) needs no stored state: the seed and the counters of the filter determine each draw. A filter
-therefore remains a function of its state, and resuming from a saved state reproduces the same draws.
+Philox in numpy) needs no stored state: the seed and the counters of the filter determine each draw. A filter
+step therefore remains a function of the filter state, and resuming from a saved state repeats the same draws.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ class RandomNumbers(NamedTuple):
     """Random numbers at given filter counters.
 
     Attributes:
-        seed: seed of the filter.
+        seed: random seed of the filter.
         step: number of predictions so far.
         update: number of updates since the last prediction, including this one; 0 for the prediction itself.
     """

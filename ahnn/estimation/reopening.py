@@ -1,9 +1,10 @@
-"""Reopening of a gate: many consecutive rejections mean that the filter has lost its object.
+"""Reopening of a gate after many consecutive rejections, which indicate that the filter has lost track.
 
-The covariance of the start is added to the belief, times a factor that makes the measurement unsurprising:
-its normalised innovation squared (NIS) is at most twice the number of its components. Positions and
-velocities become uncertain in the proportion of the start, also in directions in which the belief had become
-narrow; biases and parameters, which no manoeuvre changes, keep their covariance.
+The initial covariance, times a factor, is added to the covariance of the belief. The factor makes the
+measurement unsurprising: its normalised innovation squared (NIS) is at most twice the number of its
+components. Positions and velocities become uncertain in the same proportions as at the start, even in
+directions in which the belief had become precise; biases and parameters, which no manoeuvre changes, keep
+their covariance.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ from ahnn.estimation.state import Kept
 from ahnn.measurements import Measurement
 
 USUAL = 2.0
-"""NIS of a component at which a measurement is unsurprising."""
+"""Largest NIS per component of an unsurprising measurement."""
 WIDEST = 1e16
-"""Maximum factor on the covariance of the start: no measurement is 1e8 standard deviations away."""
+"""Maximum factor on the initial covariance: no measurement is 1e8 standard deviations away."""
 TRIES = 20
-"""Maximum number of factors; three or four suffice, since the NIS finally falls as one over the factor."""
+"""Maximum number of factors tried; three or four suffice, since for large factors NIS ~ 1 / factor."""
 
 
 def reopened(
@@ -40,7 +41,7 @@ def reopened(
     noise: Covariance,
     spread: Tensor,
 ) -> tuple[Kept, Innovation, Tensor]:
-    """Return the states given a row each, from beliefs widened until the row is not surprising.
+    """Condition each member on its row, with its belief widened until the row is unsurprising.
 
     Args:
         estimator: estimator with its gate.
@@ -48,11 +49,11 @@ def reopened(
         y: (B, M) rows, NaN where a component is missing.
         model: measurement model of the rows.
         noise: R.
-        spread: (B, d, d) factors of the covariances of the first d components at the start.
+        spread: (B, d, d) factors of the initial covariances of the first d components.
 
     Returns:
-        The states, the innovations for the wider beliefs, and members that accepted their row, (B,) bool; all
-        other members are meaningless.
+        The states, the innovations for the wider beliefs, and a (B,) bool mask of members that accepted
+        their row; the values of all other members are meaningless.
     """
     # Rows that are still too far away are rejected, since some filters would fail on them.
     wary, factor = estimator.gated(Gate(0.999999)), torch.ones_like(before.log_likelihood)
@@ -67,7 +68,7 @@ def reopened(
 
 
 def widened(estimator: MemberFilter[Any], state: Kept, spread: Tensor, factor: Tensor) -> Kept:
-    """Return a state with `factor` (B,) times the covariance of the start added."""
+    """Return a state whose covariance is increased by `factor` (B,) times the initial covariance."""
     mean, chol = state.belief
     rows = factor.sqrt()[:, None, None] * spread.mT
     rows = torch.cat((chol.mT, pad(rows, (0, chol.shape[-1] - spread.shape[-1]))), dim=1)

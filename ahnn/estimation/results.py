@@ -13,7 +13,7 @@ from ahnn.estimation.state import MemberState
 
 
 class Backward(NamedTuple):
-    """Conditional law of the state before a step given the next: N(mean + gain (x' - mean'), chol cholᵀ).
+    """Backward law: given the next state x', the state before is N(mean + gain (x' - mean'), chol cholᵀ).
 
     Attributes:
         gain: (B, T, D, D) smoother gains.
@@ -31,8 +31,8 @@ class Predicted(NamedTuple):
         belief: prior of the next update.
         repaired: (B,) bool, repaired members, or None without repairs.
         sound: whether all members are known to be finite with positive variances; False if unchecked.
-        backward: distribution of the state before the step given the state after it, (B, D, D), if requested.
-        mended: (B,) bool, whether this distribution itself was repaired; None without repairs.
+        backward: backward law of the step, (B, D, D), if requested.
+        mended: (B,) bool, whether the backward law itself was repaired; None without repairs.
     """
 
     belief: Belief
@@ -48,7 +48,7 @@ class Updated(NamedTuple):
     Attributes:
         belief: posterior.
         innovation: (B, M), zero where the component is missing.
-        deviation: (B, M) its standard deviations, one where the component is missing.
+        deviation: (B, M) standard deviations of the innovation, one where the component is missing.
         nis: (B,) normalised innovation squared of the available components.
         log_likelihood: (B,) log predictive density of these components.
         singular: (B,) bool, the innovation covariance is singular, or the posterior has a variance that is
@@ -71,7 +71,7 @@ class Updated(NamedTuple):
 class FilterResult(NamedTuple):
     """Filter result for a batch of rows; index k is after step k, at time t_0 + dt_0 + ... + dt_k.
 
-    A member whose status is not OK is NaN after its failure, and valid before.
+    Values of a member whose status is not OK are NaN from the failed step on, and valid before.
 
     Attributes:
         initial: belief before the first step.
@@ -86,8 +86,8 @@ class FilterResult(NamedTuple):
         log_likelihood: (B,) log-likelihood of the accepted measurements.
         status: (B,) int64, see `Status`.
         failed_step: (B,) int64, step of this run at which the member failed, 0 if before the run; -1 if OK.
-        repairs: (B,) int64, number of repaired covariances and of backward kernels of singular covariances.
-        backward: backward kernels for the smoother, if requested.
+        repairs: (B,) int64, number of repaired covariances, and of backward laws with singular covariances.
+        backward: backward laws for the smoother, if requested.
         state: state after the last step, for continuation. Its log-likelihood, status and repairs include the
             values of the state from which the run began.
     """
@@ -122,7 +122,7 @@ class SmootherResult(NamedTuple):
         means: (B, T, D) means given all measurements.
         chols: (B, T, D, D) lower factors.
         status: (B,) int64, status of the filter, see `Status`.
-        repairs: (B,) int64, number of repairs by the filter and of its backward kernels.
+        repairs: (B,) int64, number of repairs in the filter, including its backward laws.
     """
 
     initial: Belief

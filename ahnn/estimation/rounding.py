@@ -1,8 +1,8 @@
 """Bounds on float64 rounding of estimates; members beyond the limit fail with a status.
 
-A mean computed from images y has rounding error eps |y|. Sigma points at r standard deviations compute it
-from differences, each with this error, with weights that sum to D / r², the crowding. The total error is
-about
+A mean computed from images y has rounding error eps |y|. With sigma points at r standard deviations, it is
+computed from differences, each with this error; their weights sum to D / r², the crowding. The total error
+is about
 
     (1 + D / r²) eps |y|.
 
@@ -10,8 +10,8 @@ An update computes the innovation from numbers of size y, and triangularises dev
 errors of eps (|y| + s). The gain K propagates these to the mean, and since the posterior covariance includes
 K R Kᵀ, the error in standard deviations is at most L_R⁻¹ eps (|y| + s).
 
-A kernel that squares, i.e. computes covariances, loses twice as many digits: it resolves P to eps P, which a
-subtraction may exceed, and the innovation covariance to eps s sᵀ.
+A kernel that squares, i.e. computes covariances, loses twice as many digits: the error of P is eps P, which
+may exceed the result of a subtraction, and the error of the innovation covariance is eps s sᵀ.
 
 Rounding inside a flow or measurement model, for example in float32, is additional and not included.
 """
@@ -29,7 +29,7 @@ from ahnn.estimation.linalg import EPS
 from ahnn.estimation.results import Updated
 
 LIMIT = 1e-3
-"""Largest rounding error per step, as a fraction of a standard deviation; duplicated in members.c."""
+"""Largest rounding error per step, as a fraction of a standard deviation; also defined in members.c."""
 
 
 class Rounding(NamedTuple):
@@ -86,8 +86,8 @@ def lost_in_update(prior: Belief, updated: Updated, y: Tensor, chol_r: Tensor, r
     spread = torch.where(present, updated.deviation.detach(), 0.0)
     sizes = y.detach().nan_to_num().abs() + updated.innovation.detach().abs() + spread
     exact = present & (torch.diagonal(chol_r.detach(), dim1=-2, dim2=-1) == 0.0)
-    # A missing component is treated as uncorrelated; an exactly measured component is given its
-    # predicted uncertainty, and there is no standard deviation to compare its mean with.
+    # A missing component is treated as uncorrelated. An exactly measured component uses its predicted
+    # uncertainty; its posterior has no standard deviation with which its mean can be compared.
     noisy = (present & ~exact).unsqueeze(-1)
     noise = torch.where(noisy, chol_r.detach(), torch.diag_embed(torch.where(exact, spread, 1.0)))
     loss = _whitened(noise, torch.where(present, sizes, 0.0))
@@ -105,12 +105,12 @@ def lost_in_update(prior: Belief, updated: Updated, y: Tensor, chol_r: Tensor, r
 
 
 def _not_mended(lost: Tensor, repairs: Tensor | None, rounding: Rounding) -> Tensor:
-    """Return members that lost digits, except by negative weights, whose repairs are counted instead."""
+    """Return members that lost digits; losses due to negative weights are counted as repairs instead."""
     return lost if repairs is None or not rounding.subtracts else lost & (repairs == 0)
 
 
 def _coarseness(belief: Belief) -> Tensor:
-    """Return the largest mean in standard deviations, (B,)."""
+    """Return the largest ratio of |mean| to standard deviation, (B,)."""
     return (belief.mean.detach().abs() / deviations(belief.chol.detach())).amax(-1)
 
 
@@ -119,7 +119,7 @@ def _lost_digits(chol: Tensor, formed: Tensor) -> Tensor:
 
     Args:
         chol: (B, D, D) factor of the covariance.
-        formed: (B, D) deviations of the covariances whose sum or difference it is.
+        formed: (B, D) deviations of the covariances from whose sum or difference it was computed.
     """
     return EPS * _whitened(chol, formed).square()
 

@@ -1,8 +1,8 @@
 """Filters whose belief is a set of samples, with one flow call for all members.
 
-A sample filter is defined by how it draws samples from a belief, propagates them over a step, and moves or
-weights them by a measurement. Arguments, gating, status and freezing of members are common to all filters,
-see `ahnn.estimation.member_filter`; other modules use the moments of the samples.
+A sample filter defines how samples are drawn from a belief, propagated over a step, and moved or weighted by
+a measurement. Arguments, gating, status and freezing of members are common to all filters, see
+`ahnn.estimation.member_filter`; other modules use the moments of the samples.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class SampleFilter(MemberFilter[SampleState]):
     """Filter with N samples for each of B members; subclasses are dataclasses.
 
     Attributes:
-        seed: seed of the random numbers; equal seeds give bitwise equal estimates.
+        seed: random seed; equal seeds give bit-identical estimates.
     """
 
     carried: ClassVar[type[MemberState]] = SampleState
@@ -55,7 +55,7 @@ class SampleFilter(MemberFilter[SampleState]):
 
     @property
     def about(self) -> dict[str, Any]:
-        """Plain values that determine its estimates."""
+        """Plain values that determine the estimates."""
         return {**super().about, "samples": self.count, "seed": self.seed}
 
     @abstractmethod
@@ -68,14 +68,14 @@ class SampleFilter(MemberFilter[SampleState]):
 
     @abstractmethod
     def noise(self, draw: Tensor, points: Tensor) -> Tensor:
-        """Draw the normal numbers (B, N, D) that the filter adds, times a factor of Q, to samples."""
+        """Return numbers (B, N, D), from a normal draw, that are added to samples times a factor of Q."""
 
     def followed(self, state: SampleState, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Return propagated samples (B, N, D) and weights (B, N), given the images of a state's samples."""
+        """Return propagated samples (B, N, D) and log weights (B, N), given the images of the samples."""
         return images, state.log_weights
 
     def law(self, before: Tensor, images: Tensor, chol_q: Tensor) -> Backward | None:
-        """Return the backward law from images (B, N, D) of samples, with Q added; None without smoother."""
+        """Return the backward law from samples and images (B, N, D), with Q added; None if unsupported."""
         del before, images, chol_q
 
     @abstractmethod
@@ -86,7 +86,7 @@ class SampleFilter(MemberFilter[SampleState]):
 
         Args:
             state: state before the update; its `random` belongs to the update.
-            images: (B, N, M) predicted measurements of its samples.
+            images: (B, N, M) predicted measurements of the samples.
             y: measurement row.
             sensor: measurement model of the row.
         """
@@ -129,7 +129,7 @@ class SampleFilter(MemberFilter[SampleState]):
         state = state._replace(updates=state.updates + 1)
         images = measured(sensor.measurement, state.points, float(state.time))
         proposed, told = self.conditioned(state, images, y, sensor)
-        if sensor.thresholds is not None:  # rejected rows may leave no sample with nonzero weight
+        if sensor.thresholds is not None:  # a rejected row may leave all samples with zero weight
             refused = told.nis > sensor.thresholds[(~y.isnan()).sum(-1)]
             belief = choose(refused, state.belief, told.belief)
             told = told._replace(belief=belief, singular=told.singular & ~refused)
@@ -146,7 +146,7 @@ def image_deviations(
 
     Args:
         images: (B, N, M) predicted measurements of samples.
-        weights: (B, N, 1) that sum to 1, or their common value.
+        weights: (B, N, 1) weights that sum to 1, or their common value.
         y: (B, M), NaN where missing.
         sensor: measurement model, which defines differences.
     """

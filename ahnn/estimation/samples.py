@@ -27,7 +27,7 @@ class SampleState(NamedTuple):
         log_likelihood: (B,) float64.
         points: (B, N, D) float64 samples.
         log_weights: (B, N) float64 logarithms of normalised weights; -inf for zero weight.
-        seed: () int64, seed of the random numbers.
+        seed: () int64, random seed.
         updates: () int64, updates since the last prediction; with seed and steps it determines the next draw.
     """
 
@@ -60,7 +60,7 @@ class SampleState(NamedTuple):
         return RandomNumbers(int(self.seed), int(self.steps), int(self.updates))
 
     def where(self, condition: Tensor, other: SampleState) -> SampleState:
-        """Return a state with another's samples for members where the condition, (B,) bool, is false."""
+        """Return a state with the samples of `other` for members where the condition, (B,) bool, is false."""
         return self._replace(
             belief=choose(condition, self.belief, other.belief),
             points=torch.where(condition[:, None, None], self.points, other.points),

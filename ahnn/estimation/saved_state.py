@@ -1,7 +1,7 @@
 """Exact saving of recursive estimator states in a file without executable content.
 
-A state is a NamedTuple of tensors and of NamedTuples of tensors, stored under their field names. Tensors and
-texts are protected by one checksum, as weights are, and checked against the limits of a state.
+A state is a NamedTuple of tensors and of NamedTuples of tensors, stored under their field names. One checksum
+protects tensors and texts, as in files of weights; tensors are also checked against the limits of a state.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ FORMAT = "ahnn filter state 2"
 
 
 class SavedPart(NamedTuple):
-    """Requirements on a tensor of a state: finite, and within limits.
+    """Requirements on a tensor of a state, which must also be finite.
 
     Attributes:
         axes: B for members, D for components.
@@ -80,11 +80,11 @@ def load_state(path: Path | str, device: torch.device | str = "cpu", *, like: S 
     Args:
         path: path of the file.
         device: device of the tensors.
-        like: a state of the estimator as template; None for a `FilterState`.
+        like: a state of the same estimator, as a template; None for a `FilterState`.
 
     Raises:
         FileNotFoundError: the file is missing.
-        ValueError: the file is damaged, has an earlier format, or does not contain a state of this kind.
+        ValueError: the file is damaged, has a different format, or does not contain a state of this kind.
     """
     stored, about = _read(Path(path))
     try:
@@ -103,12 +103,12 @@ def load_state(path: Path | str, device: torch.device | str = "cpu", *, like: S 
 
 
 def load_notes(path: Path | str) -> dict[str, str]:
-    """Load the texts saved with a state; raises the errors of `load_state`."""
+    """Load the texts saved with a state; raises the same errors as `load_state`."""
     return _read(Path(path)).about["notes"]
 
 
 def _read(path: Path) -> Weights:
-    """Read the unmodified content of a file of this format.
+    """Read a file of this format and verify its checksum.
 
     Raises:
         FileNotFoundError: the file is missing.

@@ -14,7 +14,7 @@ from ahnn.rollouts import clock_of
 from ahnn.types import Flow
 
 MEASUREMENTS = 1_000_003
-"""Offset of the seed of measurement noise, which must differ from the seed of initial errors."""
+"""Offset added to the seed for measurement noise, which must differ from the seed for initial errors."""
 
 
 class Setting(NamedTuple):
@@ -24,7 +24,7 @@ class Setting(NamedTuple):
         measurement: measurement model.
         measurement_sd: (M,) standard deviations of both the simulated noise and R.
         start_sd: (D,) standard deviations of the initial error; P0 is diagonal.
-        updates: increasing indices of measured samples, from 1.
+        updates: increasing indices of measured samples, at least 1.
         sensor_error: biases of the measurements, simulated and estimated; None: no biases.
     """
 
@@ -59,7 +59,7 @@ class Problem(NamedTuple):
         measurements: (B, T, M), NaN where missing.
         dt: step length.
         controls: (B, T + 1, m) known controls; None without controls.
-        linear: whether controls are interpolated linearly between samples instead of held.
+        linear: whether controls are interpolated linearly between samples, instead of held constant.
     """
 
     truth: Tensor
@@ -86,7 +86,7 @@ class Problem(NamedTuple):
 def simulated(setting: Setting, truth: Tensor, dt: float, seed: int) -> Tensor:
     """Simulate noisy measurements (B, T, M) of true trajectories (B, T + 1, D).
 
-    NaN between measurements, and where a state is outside the sensor's field of view.
+    Values are NaN between measurements, and where a state is outside the sensor's field of view.
     """
     batch, samples, _ = truth.shape
     generator = torch.Generator().manual_seed(seed + MEASUREMENTS)
@@ -112,7 +112,7 @@ def perturbed_arcs(
     *,
     linear: bool = False,
 ) -> Problem:
-    """Cut arcs from trajectories and perturb their initial states, for tuning of estimators.
+    """Cut arcs from trajectories and perturb their initial states, for the tuning of estimators.
 
     Args:
         setting: measurement settings and P0.
@@ -121,7 +121,7 @@ def perturbed_arcs(
         count: number of arcs, each from a different trajectory.
         steps: length of an arc. Arcs shorter than their trajectory begin at evenly spaced times, so that all
             phases of the motion are covered. None: full trajectories.
-        seed: seed of initial errors and measurement noise.
+        seed: random seed for initial errors and measurement noise.
         controls: (N, T + 1, m) controls of the trajectories; None without controls.
         linear: whether controls are interpolated linearly between samples.
     """

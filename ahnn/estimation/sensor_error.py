@@ -91,7 +91,7 @@ class SensorError(NamedTuple):
         return augmented
 
     def process_noise(self, additive: Tensor, dt: float) -> Tensor:
-        """Return Q of one step of augmented states from Q of the other components, (D, D) or (B, D, D)."""
+        """Return Q of augmented states for one step, from Q of the other components, (D, D) or (B, D, D)."""
         both, size = pad(additive, (0, self.added, 0, self.added)), additive.shape[-1]
         both[..., size:, size:] = self._kick(dt).square().diag()
         return both

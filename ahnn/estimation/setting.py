@@ -31,13 +31,14 @@ def make_setting(
     cadence: Count,
     times: Sequence[float] | None,
 ) -> Setting:
-    """Build the setting of a system from the options of `UKFEvaluation`.
+    """Build the setting of a system from the options of `EstimatorEvaluation`.
 
     Args:
         system: measured system.
         steps: number of steps of the shortest trajectory.
         measurement: a measurement model, or the name of one that measures state components.
-        measurement_sd: standard deviations of its noise; None for the system's default, for positions.
+        measurement_sd: standard deviations of the noise; None for the system's default, if positions are
+            measured.
         start_sd: standard deviations of the initial state (`state_deviations`); None for the system's
             default.
         bias_sd: standard deviations of estimated measurement biases; None: no biases.
@@ -133,7 +134,7 @@ def near_system(truth: System | None, beside: System | None, space: Space) -> Sy
         space: description of the state components.
 
     Raises:
-        UserError: neither or both systems are given, or the units of the second differ.
+        UserError: neither or both systems are given, or the units of `beside` and `space` differ.
     """
     if beside is not None and (truth is not None or beside.units != space.units):
         received = f"the equations of {space.name}" if truth is not None else str(space.units)

@@ -1,7 +1,8 @@
 """Rauch-Tung-Striebel smoother in factored form.
 
-A filter stores, for each step, the conditional distribution of the state before it given the state after it.
-The smoother composes these backwards: no covariance is subtracted, so none can become indefinite.
+A filter stores, for each step, the backward law: the distribution of the state before the step given the
+state after it. The smoother composes these laws backwards in time: no covariance is subtracted, so none can
+become indefinite.
 """
 
 from __future__ import annotations
@@ -14,21 +15,21 @@ from ahnn.estimation.linalg import tria
 from ahnn.estimation.results import Backward, FilterResult, SmootherResult
 
 RANK = 1e-12
-"""Relative singular value of a factor with unit rows below which it is treated as zero."""
+"""Relative size below which a singular value of a factor with unit rows is treated as zero."""
 
 
 def backward_law(joint: Tensor) -> tuple[Backward, Tensor | None]:
     """Return the distribution of the state before a step given the state after it, (B, D, D).
 
-    The gain is G = C P⁻¹ with C the cross-covariance of the states before and after, P the predicted
-    covariance (Särkkä 2008, eq. 14); the smoother's conditional covariance is P_k - G P Gᵀ, as a
-    factor. Where P is singular, G = C P⁺ with the pseudo-inverse of P scaled to unit variances.
+    The gain is G = C P⁻¹, where C is the cross-covariance of the states before and after, and P the
+    predicted covariance (Särkkä 2008, eq. 14); the factor is that of the conditional covariance
+    P_k - G P Gᵀ. Where P is singular, G = C P⁺ with the pseudo-inverse of P scaled to unit variances.
 
     Args:
         joint: (B, 2 D, 2 D) lower factor of the covariance of the states after and before, in this order.
 
     Returns:
-        The distribution, and members with singular P, (B,) bool, or None.
+        The distribution, and the mask of members with singular P, (B,) bool; None if no member has one.
     """
     size = joint.shape[-1] // 2
     chol_next, cross, chol_given = joint[:, :size, :size], joint[:, size:, :size], joint[:, size:, size:]
@@ -77,7 +78,7 @@ def smoother(result: FilterResult) -> SmootherResult:
     A member that failed at step k is smoothed over its steps before k, and NaN after them.
 
     Raises:
-        ValueError: the filter kept no backward kernels.
+        ValueError: the filter was run without smoothing.
     """
     if result.backward is None:
         message = "smoother: expected backward kernels; received None; run the filter with smoothing=True"
@@ -95,10 +96,10 @@ def smoother(result: FilterResult) -> SmootherResult:
 
 
 def _step_back(result: FilterResult, kernels: Backward, before: Belief, after: Belief, k: int) -> Belief:
-    """Return the smoothed belief before step k, from the filtered one and the smoothed one after it."""
+    """Return the smoothed belief before step k, given the filtered one there and the smoothed one after."""
     law = Backward(kernels.gain[:, k], kernels.chol[:, k])
     found = stepped_back(before.mean, result.predicted_means[:, k], law, after)
-    # The step at which a member failed says nothing about the time before it.
+    # The step at which a member failed contains no information about earlier times.
     holds = (result.status == Status.OK) | (k < result.failed_step)
     return choose(holds, found, before)
 
@@ -109,8 +110,8 @@ def stepped_back(before: Tensor, predicted: Tensor, law: Backward, after: Belief
     Args:
         before: (B, D) filtered mean before the step.
         predicted: (B, D) predicted mean after it.
-        law: law of the step, (B, D, D).
-        after: smoothed belief after it.
+        law: backward law of the step, (B, D, D).
+        after: smoothed belief after the step.
     """
     correction = law.gain @ (after.mean - predicted).unsqueeze(-1)
     chol = tria(torch.cat((law.chol.mT, (law.gain @ after.chol).mT), dim=1))

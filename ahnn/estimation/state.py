@@ -1,7 +1,7 @@
 """State of a recursive estimator between calls, and bookkeeping of its members.
 
-A failed member is frozen: it stays in the batch with its last valid belief, so that tensor shapes, and with
-them every bit of the other members, are unchanged.
+A failed member is frozen: it stays in the batch with its last valid belief, so that tensor shapes do not
+change and the other members stay bit-identical.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class MemberState(EstimatorState, Protocol):
         ...
 
     def where(self, condition: Tensor, other: Self) -> Self:
-        """Return a state with another's estimates for members where the condition, (B,) bool, is false."""
+        """Return a state with the estimates of `other` where the condition, (B,) bool, is false."""
         ...
 
     def leading(self, size: int) -> Self:
@@ -120,7 +120,7 @@ class FilterState(NamedTuple):
         return self.status == Status.OK
 
     def where(self, condition: Tensor, other: FilterState) -> FilterState:
-        """Return a state that takes another's belief for members where the condition, (B,) bool, is false."""
+        """Return a state with the belief of `other` for members where the condition, (B,) bool, is false."""
         return self._replace(belief=choose(condition, self.belief, other.belief))
 
     def leading(self, size: int) -> FilterState:

@@ -37,10 +37,10 @@ class StepGrid(NamedTuple):
 
 
 def process_factor(process_noise: ProcessNoise, belief: Belief) -> Callable[[float], Tensor]:
-    """Return the factor of Q, (B, D, D), as a function of the step; each distinct length is factored once.
+    """Return the factor of Q, (B, D, D), as a function of step length; each length is factored only once.
 
     Raises:
-        ValueError: not a covariance; raised by the returned function if the noise depends on the step.
+        ValueError: Q is not a covariance; raised by the returned function if Q depends on the step length.
     """
     batch, size = belief.mean.shape
 

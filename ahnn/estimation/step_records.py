@@ -18,10 +18,10 @@ class StepRecord(NamedTuple):
     Attributes:
         predicted: beliefs before the updates, (n, B, ...).
         posterior: beliefs after them.
-        innovation: (n, B, M) innovations, NaN where a step has no row; None if none has one.
+        innovation: (n, B, M) innovations, NaN where a step has no row; None if no step has a row.
         nis: (n, B) normalised innovation squared, likewise.
         rejected: (n, B) rejections by the gate, likewise.
-        backward: law of the step back, (B, D, D), if requested.
+        backward: backward law of the step, (B, D, D), if requested.
     """
 
     predicted: Belief
@@ -56,14 +56,14 @@ class StepRecord(NamedTuple):
 def collected(
     steps: list[StepRecord], before: MemberState, after: MemberState, present: Tensor, *, whole: bool
 ) -> FilterResult:
-    """Collect step records between two states into a result, NaN after the failure of a member.
+    """Collect step records between two states into a result; values are NaN from a member's failed step on.
 
     Args:
         steps: records of the T steps.
-        before: state before them.
-        after: state after them.
+        before: state before the first step.
+        after: state after the last step.
         present: (B, T, M) bool, the measured components.
-        whole: whether all are measured.
+        whole: whether all components are measured.
     """
     failed_step, valid = after.failed_step, None
     if bool(after.status.any()):
@@ -97,17 +97,17 @@ def collected(
 
 
 def _in_turn(parts: list[Tensor]) -> Tensor:
-    """Return records (n, B, ...) in the order of members, (B, T, ...)."""
+    """Join records (n, B, ...) of successive steps to (B, T, ...)."""
     return torch.cat(parts).transpose(0, 1).contiguous()
 
 
 def _joined(parts: list[tuple[Tensor | None, int]], blank: Tensor, *shape: int) -> Tensor:
-    """Return records of n steps, each of shape (B, ...), as (B, T, ...); `blank` where a step has none."""
+    """Join records (n, B, ...) with their lengths n to (B, T, ...); `blank` where a record is None."""
     return _in_turn([blank.expand(n, *shape) if part is None else part for part, n in parts])
 
 
 def _masked(values: Tensor, valid: Tensor | None) -> Tensor:
-    """Return values (B, T, ...) with NaN where the mask (B, T) is false; all values for None."""
+    """Return values (B, T, ...) with NaN where the mask (B, T) is false; unchanged if the mask is None."""
     if valid is None:
         return values
     return torch.where(valid.reshape(valid.shape + (1,) * (values.ndim - 2)), values, torch.nan)

@@ -1,4 +1,4 @@
-"""Sequences of consecutive steps of one member, filtered in one call as long as no step needs a decision."""
+"""Sequences of steps of one member, filtered in one call until a row may be rejected or the member fail."""
 
 from __future__ import annotations
 
@@ -58,15 +58,16 @@ class RunFilter(Protocol):
     ) -> FollowedRows | None:
         """Filter the first rows of a sequence, bit-identical to `predict` and `update` step by step.
 
-        It ends before the first row for which single steps would do more than accept it.
+        The call ends before the first row that single steps would not simply accept.
 
         Args:
             state: state of one member before the sequence.
             flow: the process model.
             run: steps and rows.
             sensor: measurement model of the rows.
-            most: NIS above which a row needs a decision, whatever the gate.
+            most: NIS above which the call ends, whatever the gate.
 
-        Returns: None where sequences are not supported.
+        Returns:
+            The results of the filtered rows; None where sequences are not supported.
         """
         ...

@@ -64,7 +64,7 @@ def assimilate(chosen: Filter, setting: Setting, problem: Problem) -> FilterResu
 
 
 class Behind(NamedTuple):
-    """Results of estimators that use all measurements, in addition to a filter.
+    """Results of estimators that use all measurements, obtained in addition to those of a filter.
 
     Attributes:
         smoothed: results of the requested smoothers, by name.
@@ -78,7 +78,7 @@ class Behind(NamedTuple):
 def assimilate_all(
     chosen: Filter, setting: Setting, problem: Problem, smoothers: Sequence[str], *, batch: bool = False
 ) -> tuple[FilterResult, Behind]:
-    """Run a filter on a problem, its smoothers, and the other requested estimators.
+    """Run a filter, its smoothers and the other requested estimators on a problem.
 
     Rows rejected by the filter's gate are ignored by all of them.
     """

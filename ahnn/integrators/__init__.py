@@ -1,7 +1,7 @@
-"""One-step integrators: methods are tables of coefficients with one loop per family.
+"""One-step integrators: each method is a table of coefficients, and each family of methods one loop.
 
 Explicit Runge-Kutta methods, symmetric symplectic compositions and one implicit Gauss method, all batched,
-differentiable and stateless. A method is added by its coefficients and a line in `OWN`.
+differentiable and stateless. A new method requires its coefficients and a line in `OWN`.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ class Integrator(ABC):
     def increment(self, field: VectorField, x: Tensor, dt: TimeStep) -> Tensor:
         """Return x(t + dt) - x(t), shape (..., D).
 
-        Losses compare increments, which keep digits that are lost in a sum with a large state.
+        Losses compare increments, which retain digits that would be lost in a sum with a large state.
 
         Args:
             field: right-hand side of the differential equation.
@@ -28,7 +28,7 @@ class Integrator(ABC):
         """
 
     def require(self, field: object) -> None:  # noqa: B027 - most methods accept any field
-        """Check before any computation that the method can integrate a field.
+        """Check, before any computation, that the method can integrate a field.
 
         Raises:
             UserError: the field lacks the required structure.
@@ -40,5 +40,5 @@ class Integrator(ABC):
 
 
 def column(dt: TimeStep) -> TimeStep:
-    """Return dt so that it multiplies states: a number unchanged, a (B,) tensor as (B, 1)."""
+    """Return dt in a shape that multiplies states: a number unchanged, a (B,) tensor as (B, 1)."""
     return dt.unsqueeze(-1) if isinstance(dt, Tensor) and dt.ndim > 0 else dt

@@ -19,7 +19,7 @@ YOSHIDA6 = (
     1.31518632068391121888424972823886251,
 )
 
-# Yoshida 1990, solution D of order 8, polished: the printed digits satisfy the conditions to 3e-12 only.
+# Yoshida 1990, solution D of order 8, polished: the published digits satisfy the conditions only to 3e-12.
 YOSHIDA8 = (
     0.914844246229791566748793489847509605,
     0.253693336566211354146146020689942076,

@@ -22,13 +22,13 @@ _A21 = 0.25 + math.sqrt(3) / 6
 @checked
 @dataclass(frozen=True)
 class GaussLegendre4(Integrator):
-    """Gauss-Legendre Runge-Kutta of order 4, with stages solved by fixed-point iteration.
+    """Gauss-Legendre Runge-Kutta method of order 4, whose stages are solved by fixed-point iteration.
 
     Attributes:
         tolerance: a member is solved when no component of dt * slope changes by more than this, relative
             to the larger of the component and dt * slope, or when the change has stopped shrinking at
             round-off level of the positions and momenta.
-        max_iterations: sweeps after which an unsolved member is an error.
+        max_iterations: number of sweeps after which an unsolved member raises an error.
     """
 
     tolerance: Annotated[float, Within(above=0, below=1)] = 1e-14
@@ -75,7 +75,7 @@ class GaussLegendre4(Integrator):
 
 
 def _of_block(size: Tensor) -> Tensor:
-    """Return the largest size among positions, and among momenta, for each component, shape (..., D).
+    """Return, for each component, the largest size in its block, positions or momenta, shape (..., D).
 
     The blocks may have different units.
     """

@@ -18,7 +18,7 @@ from ahnn.types import SeparableField, TimeStep, VectorField
 class SymmetricComposition(Integrator):
     """Composition of drift-kick-drift leapfrogs with palindromic weights.
 
-    Adjacent half drifts are merged, so a step of s stages costs s forces and s + 1 velocities
+    Adjacent half drifts are merged, so a step of s stages evaluates s forces and s + 1 velocities
     (Hairer, Lubich & Wanner, Geometric Numerical Integration, section V.3).
 
     Attributes:
@@ -38,7 +38,7 @@ class SymmetricComposition(Integrator):
         return drifts, kicks
 
     def require(self, field: object) -> None:
-        """Raise UserError for a field that is not separable, or declares so by `separable`."""
+        """Raise UserError for a field that is not separable, or whose attribute `separable` is False."""
         if not (isinstance(field, SeparableField) and getattr(field, "separable", True)):
             message = (
                 f"integrator {self.name}: expected a separable Hamiltonian T(p) + V(q), whose field offers "

@@ -12,7 +12,7 @@ class ButcherTableau(NamedTuple):
     """Stage weights and output weights of an explicit Runge-Kutta method.
 
     Attributes:
-        a: row i holds the weights of slopes 0..i in the argument of slope i + 1.
+        a: row i contains the weights of slopes 0..i in the argument of slope i + 1.
         b: weights of the slopes in the increment.
     """
 

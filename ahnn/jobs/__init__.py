@@ -1,4 +1,4 @@
 """Implementation of the commands on plain values, independent of command line and configuration.
 
-`cli` builds a job's one immutable value from a configuration, and a function here receives only that value.
+`cli` builds one immutable value per job from a configuration; the functions here receive only that value.
 """

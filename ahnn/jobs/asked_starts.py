@@ -1,4 +1,4 @@
-"""Starts of a command, in the reference of its model."""
+"""Starts given to a command, in the reference of its model."""
 
 from __future__ import annotations
 

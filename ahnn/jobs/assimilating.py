@@ -80,7 +80,7 @@ def assimilate(stream: Stream) -> None:
 
 
 def _of_novelty(stream: Stream, filtering: Assimilation) -> str | None:
-    """Return a remark on a last estimate beyond the training data, which consistency does not reveal."""
+    """Return a remark if the last estimate is beyond the training data; consistency does not reveal this."""
     mean = filtering.window.state.moments.mean[0, : filtering.size]
     far = 0.0 if stream.novelty is None else float(stream.novelty(mean))
     if far <= BEYOND:
@@ -102,7 +102,7 @@ def told_to(watchers: Sequence[Watcher]) -> Watcher:
 
 
 def _pictures(stream: Stream) -> None:
-    """Write figures and the message of the output, if requested."""
+    """Write figures and the ephemeris message of the output, if requested."""
     options, space = stream.asked, stream.space
     if not (options.figures or options.oem):
         return

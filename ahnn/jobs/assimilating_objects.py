@@ -35,7 +35,7 @@ class CatalogueOutcome(NamedTuple):
     """Outcome of a stream of many objects, or of the objects of one worker.
 
     Attributes:
-        tally: outcomes of its lines.
+        tally: outcomes of the lines.
         lines: number of lines read.
         last: final states.
         lost: number of lost objects.
@@ -69,12 +69,12 @@ def follow_objects(stream: Stream, catalogue: Catalogue, *, judged: bool = True)
 
     Args:
         stream: the stream.
-        catalogue: its filters.
-        judged: whether a stream without any accepted line is an error; not for one of several workers.
+        catalogue: filters of the objects.
+        judged: whether a stream without any accepted line is an error; False for one of several workers.
 
     Raises:
         UserError: a missing file, or one that does not match the saved state.
-        TrainingError: no line was accepted.
+        TrainingError: no line was accepted, if `judged`.
     """
     options = stream.asked
     state, objects = None if options.state is None else Path(options.state), options.objects or ""
@@ -117,7 +117,7 @@ def conclude(stream: Stream, found: CatalogueOutcome) -> None:
 
 
 def _last(stream: Stream, catalogue: Catalogue) -> Starts:
-    """Return the final states of objects, as starts of predictions."""
+    """Return the final states of the objects, as starts for predictions."""
     times, beliefs = catalogue.beliefs()
     return Starts(
         tuple(catalogue.names), beliefs.mean, torch.from_numpy(times), stream.reference, beliefs.covariance
@@ -134,7 +134,7 @@ def _lines(path: str, state: Path | None) -> Lines | ParquetRows:
 
 
 def _kind(options: AssimilationRequest) -> Format:
-    """Return the output format, as requested or by the file extension."""
+    """Return the output format: the requested one, or the one of the file extension."""
     suffix = Path(options.output).suffix.lower()
     known: dict[str, Format] = {".json": "json", ".jsonl": "json", ".parquet": "parquet"}
     return options.format or known.get(suffix, "csv")

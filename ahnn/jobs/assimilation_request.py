@@ -74,7 +74,7 @@ class Stream(NamedTuple):
         controls: names of the model's controls.
         followed: measurements of an orbit determination, used instead of lines.
         fitted: number of the last line to which the start was fitted.
-        novelty: distance of states from the training data, 1 at its edge; None if unknown.
+        novelty: distance of states from the training data, 1 at their edge; None if unknown.
     """
 
     asked: AssimilationRequest
@@ -90,7 +90,7 @@ class Stream(NamedTuple):
 
 
 def require_places(options: AssimilationRequest) -> None:
-    """Raise UserError for occupied paths of output, state, figures and message."""
+    """Raise UserError for invalid or occupied paths of output, state, figures and message."""
     require_together(options)
     if options.output == "-" and (options.figures or options.oem):
         message = "output: expected a FILE for figures and oem, which are made from it; received -"
@@ -126,7 +126,7 @@ def require_together(options: AssimilationRequest) -> None:
 
 
 def opened(path: str, state: Path | None) -> BinaryIO | Journal:
-    """Open a byte stream; standard input has a journal next to its state."""
+    """Open a byte stream; standard input with a state has a journal next to the state."""
     if path != "-":
         return open(path, "rb")
     pipe = cast(Any, sys.stdin.buffer)
@@ -134,7 +134,7 @@ def opened(path: str, state: Path | None) -> BinaryIO | Journal:
 
 
 def _made_at_the_end(options: AssimilationRequest) -> list[Path]:
-    """Return the files written at the end from the output."""
+    """Return the files that are made from the output at the end."""
     names = [f"{name}{suffix}" for name in NAMES for suffix in FORMATS]
     pictures = [Path(options.figures) / name for name in names] if options.figures else []
     return [*pictures, *([Path(options.oem)] if options.oem else [])]

@@ -23,7 +23,7 @@ def check(paths: Sequence[Path], figures: Path | None, options: dict[str, Any]) 
 
     Args:
         paths: paths of the files.
-        figures: folder of figures of trajectories, or None.
+        figures: folder for figures of trajectories, or None.
         options: mass, gap, and reading options.
 
     Raises:

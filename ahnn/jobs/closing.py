@@ -33,9 +33,9 @@ log = logging.getLogger("ahnn")
 
 
 def conclude_on_measurements(prepared: Prepared) -> float:
-    """Take the final steps, save weights, uncertainty and training domain, and return the seconds.
+    """Take the final steps, save weights, uncertainty and training domain, and return the time in seconds.
 
-    After an interruption it continues from its journal; a second call does nothing.
+    A call after an interruption continues from the journal; a call after completion does nothing.
     """
     started, best = time.monotonic(), weights_path(prepared.folder)
     if is_concluded(prepared):
@@ -51,7 +51,7 @@ def conclude_on_measurements(prepared: Prepared) -> float:
 
 
 def is_concluded(prepared: Prepared) -> bool:
-    """Return whether nothing is left to do between the steps and the evaluation."""
+    """Return whether the closing stage is complete or not needed."""
     best = weights_path(prepared.folder)
     if prepared.data.stages is None:
         return True
@@ -75,7 +75,7 @@ def _conclude(prepared: Prepared, best: Path, steps: int) -> None:
         about["val_loss"] = float(Shooting(None, robust).validation(learned, batch)["loss"])
         if len(states := fitted_states(dynamics, train, robust)) > 1:
             about["domain"] = find_domain(dynamics, states).about()
-        # written before the weights refer to it
+        # Saved before the weights, which refer to it.
         save_uncertainty(folder, found, as_stored(dynamics.state_dict(), best))
     replace_weights(best, {} if found is None else dynamics.state_dict(), about)
 
@@ -85,8 +85,8 @@ def judge(prepared: Prepared, seconds: float, steps: int | None = None) -> float
 
     Args:
         prepared: prepared training run.
-        seconds: duration of its steps.
-        steps: number of its steps; None for the number of steps of its trainer.
+        seconds: duration of the training steps.
+        steps: number of training steps; None for that of the trainer.
     """
     folder, data, trainer, plan = prepared.folder, prepared.data, prepared.trainer, prepared.assessment
     if data.stages is not None:
@@ -130,7 +130,7 @@ def bands_of(prepared: Prepared, fitted: float) -> dict[str, Any]:
 
 
 def require_converged(folders: Iterable[Path]) -> None:
-    """Raise TrainingError if no prediction of a trained model stays finite; its results are kept."""
+    """Raise TrainingError if no prediction of a trained model stays finite; the results are kept."""
     for folder in folders:
         rows = load_results(folder).rows[:1] if (folder / FILE).exists() else ()
         if any(row.extra["lost"] == 1 for row in rows):

@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 
 
 def check_together(prepared: Prepared) -> None:
-    """Check data, model, trainer and checkpoint for compatibility, including `check` of model and callbacks.
+    """Check that data, model, trainer and checkpoint are compatible; call `check` of model and callbacks.
 
     Raises:
         UserError: an incompatibility; the message names the key.
@@ -50,7 +50,7 @@ def check_together(prepared: Prepared) -> None:
 
 
 def require_learnable(model: AbstractModel, data: WindowDataModule) -> None:
-    """Reject dynamics that the data do not determine, or whose integrator does not support the floor.
+    """Reject dynamics that the data do not determine, or whose integrator does not support the true field.
 
     Raises:
         UserError: such dynamics; the message names the key.
@@ -63,7 +63,7 @@ def require_learnable(model: AbstractModel, data: WindowDataModule) -> None:
 
 
 def require_equations(model: AbstractModel, data: WindowDataModule) -> None:
-    """Raise UserError for second-order steps whose equations do not fit into memory."""
+    """Raise UserError for second-order steps whose normal equations do not fit into memory."""
     count = sum(p.numel() for p in model.dynamics.parameters())
     if data.stages is None:
         windows = min(data.batch_size, data.windows_per_epoch or data.batch_size)

@@ -25,8 +25,8 @@ class Moments(NamedTuple):
     """Time steps of a prediction, such that no step crosses a jump of a control.
 
     Attributes:
-        times: (T,) times of the forces, including the times of the prediction.
-        chosen: (K,) indices of the prediction's times.
+        times: (T,) times between which steps are taken, including the output times.
+        chosen: (K,) indices of the output times.
         controls: controls at the times; None without controls.
     """
 
@@ -41,7 +41,7 @@ def moments_of(given: Controls, begin: Starts, times: Tensor, run: Run) -> Momen
     Args:
         given: controls from the user.
         begin: starts of the prediction.
-        times: (K,) output times, the first at the start.
+        times: (K,) output times after the start; the first is 0.
         run: a trained model.
 
     Raises:
@@ -68,7 +68,7 @@ def known_controls(given: Controls, since: float, run: Run) -> ControlTable | No
 
     Args:
         given: controls from the user.
-        since: begin of constant controls.
+        since: start time of constant controls.
         run: a trained model.
 
     Raises:
@@ -100,7 +100,7 @@ def control_names(run: Run) -> tuple[str, ...]:
 
 
 def warn_of_the_end(given: Controls, table: ControlTable, time: float, near: float = 0.0) -> None:
-    """Warn that the last controls of a file were held beyond its end."""
+    """Warn if the last controls of a file are held beyond its end."""
     if isinstance(given, str) and table.times[-1] < time - near:
         told = given, float(table.times[-1]), time
         log.warning("controls: the last values of %s, at %g, are held until the end, at %g", *told)

@@ -44,7 +44,7 @@ class OrbitRequest:
 
     Attributes:
         setup: setup of the determination.
-        folder: base folder of its file names.
+        folder: base folder of the file names in the setup.
         out: output folder, or None.
         title: name of the setup.
     """
@@ -84,7 +84,7 @@ def determine(asked: OrbitRequest) -> None:
 
 
 def fit_or_mistake(ready: PreparedOrbit) -> OrbitFit:
-    """Return the fit of a problem; raises TrainingError with suspected mistakes if there is none."""
+    """Return the fit of a problem; if it fails, raises TrainingError with suspected mistakes."""
     try:
         return orbit_fit(ready.problem)
     except TrainingError as error:
@@ -119,7 +119,7 @@ def totals(fit: OrbitFit) -> list[str]:
 
 
 def learned_lines(ready: PreparedOrbit, fit: OrbitFit) -> list[str]:
-    """Return lines on the size of the learned acceleration along the measurements, if any."""
+    """Return lines on the size of the learned acceleration, if any, over the measurement span."""
     if ready.learned is None:
         return []
     term, place = ready.learned
@@ -147,7 +147,7 @@ def without_learned(problem: OrbitProblem, ready: PreparedOrbit) -> OrbitProblem
 
 
 def unseen_lines(ready: PreparedOrbit, fraction: float) -> list[str]:
-    """Fit all but the last measurements, and report their prediction."""
+    """Fit all but the last measurements, and report how well these are predicted."""
     times = ready.problem.model.data.times
     used = np.arange(len(times)) < round((1 - fraction) * len(times))
     part = replace(ready.problem, used=used)
@@ -165,10 +165,10 @@ def unseen_lines(ready: PreparedOrbit, fraction: float) -> list[str]:
 
 
 def compared(ready: PreparedOrbit, arc: SatelliteArc, path: Path) -> list[str]:
-    """Return the distance of an orbit from a prediction (CPF), where both are known.
+    """Return the distance of an orbit from a prediction (CPF), over their common time span.
 
     Raises:
-        UserError: another format, or no common time span.
+        UserError: a different format, or no common time span.
     """
     content = read_cpf(path)
     data = ready.problem.model.data

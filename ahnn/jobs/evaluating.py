@@ -25,17 +25,17 @@ log = logging.getLogger("ahnn")
 
 @dataclass(frozen=True, kw_only=True)
 class Reevaluation:
-    """Run with the data and options of its evaluation.
+    """Run to evaluate again, with data and options.
 
     Attributes:
         run: run with the weights to evaluate.
         ckpt: selection of the weights: `best`, `last`, or a path.
         folder: run folder, which contains its evaluations.
-        name: name of this evaluation; None for date and time.
+        name: name of the new evaluation; None for date and time.
         label: name in tables.
         splits: data splits.
         plugins: additional evaluations by name.
-        seed: seed of the perturbed starts.
+        seed: random seed for perturbed starts.
         report: options of `ahnn.evaluation.publish`.
     """
 

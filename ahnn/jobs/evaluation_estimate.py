@@ -18,18 +18,17 @@ from ahnn.types import Flow
 TIMED = 5
 """Number of timed steps."""
 FILTERED = 3.7
-"""Cost of a filter evaluation (seven runs on one degree of freedom), in open-loop predictions; measured."""
+"""Measured cost of a filter evaluation (seven runs, one degree of freedom), in units of a prediction."""
 TESTS = 9.3
-"""Cost of the tests on unseen measurements, in fits of untrained dynamics to them; measured."""
+"""Measured cost of tests on unseen measurements, in units of a fit of untrained dynamics to them."""
 FIGURES = 3.0
-"""Seconds for figures."""
+"""Time for figures in seconds."""
 
 
 def evaluation_seconds(prepared: Prepared) -> float:
     """Estimate the time of predictions, filters, tests and figures in seconds.
 
-    A plugin's method `rollouts` returns how many rollouts over a given number of samples take as long as it
-    does.
+    A plugin's method `rollouts` returns its cost for a given number of samples, in rollouts over them.
     """
     data, plan = prepared.data, prepared.assessment
     test, dynamics = data.splits["test"], prepared.model.dynamics.frozen()

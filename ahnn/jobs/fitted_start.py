@@ -43,11 +43,11 @@ TAKEN = 20
 TRIED = 32
 """Number of training states from which a fit is tried."""
 ITERATIONS = 30
-"""Maximum number of iterations from the best of them."""
+"""Maximum number of iterations from the best of these states."""
 MOST = 0.2
 """Maximum number of outliers, as a fraction of all other measurements."""
 UNSEEN = 1e-7
-"""Ratio of the least to the largest singular value of measurements below which a direction is unseen."""
+"""Ratio of smallest to largest singular value of the design matrix below which a fit is undetermined."""
 
 
 class FittedStart(NamedTuple):
@@ -55,7 +55,7 @@ class FittedStart(NamedTuple):
 
     Attributes:
         start: state and covariance at the time of the last fitted measurement.
-        line: number of its line; those up to it are not assimilated again.
+        line: line number of that measurement; lines up to it are not assimilated again.
     """
 
     start: Starts
@@ -66,9 +66,9 @@ class BestFit(NamedTuple):
     """Fit of one state to measurements by least squares.
 
     Attributes:
-        trial: flow.
+        trial: flow with its Jacobians, and the loss.
         segment: measurements, NaN in place of outliers.
-        steps: steps between them.
+        steps: steps between measurement times.
         path: fitted path.
     """
 
@@ -83,15 +83,15 @@ def fitted_start(
 ) -> FittedStart:
     """Fit a state to the first measurements of a file by robust least squares.
 
-    Its covariance includes noise, learned parameters and biases of sensors, times chi-square per degree of
-    freedom if that exceeds 1.
+    The covariance accounts for noise, learned parameters and sensor biases, and is multiplied by chi-square
+    per degree of freedom if that exceeds 1.
 
     Args:
         run: a trained model.
         sensors: sensors of the stream.
         file: path of the measurements.
-        clock: interpretation of their times.
-        wanted: number of measurements, or fraction below 1; None for `TAKEN`.
+        clock: interpretation of the measurement times.
+        wanted: number of measurements, or a fraction below 1; None for `TAKEN`.
 
     Raises:
         UserError: no file, a model whose forces depend on time or controls, or too few measurements.
@@ -126,7 +126,7 @@ def fitted_start(
 
 
 def best_fit(run: Run, segment: Segment) -> BestFit:
-    """Return the path that fits measurements best, from any candidate, without outliers."""
+    """Return the best fit from any candidate state, after removal of outliers."""
     theta = parameters_to_vector(run.dynamics.parameters())
     jacobians = partial(jacobians_of_steps(run.dynamics, torch.float64), theta)
     trial, tried = Trial(run.dynamics.increment, jacobians, ROBUST["student"]), candidates(run, segment)
@@ -145,7 +145,7 @@ def best_fit(run: Run, segment: Segment) -> BestFit:
 def first_readings(
     sensors: Mapping[str, StreamSensor], file: str, clock: StreamClock, wanted: float | None
 ) -> list[tuple[int, Reading]]:
-    """Return the first measurements of a file in order of time, with their lines; raises UserError."""
+    """Return the first measurements of a file in file order, with their line numbers; raises UserError."""
     if file == "-":
         message = "start: expected measurements=FILE with start=fit, which reads its first lines twice; "
         raise UserError(message + "received standard input")
@@ -178,9 +178,9 @@ def first_readings(
 def segment_of(
     readings: list[Reading], sensors: Mapping[str, StreamSensor], run: Run
 ) -> tuple[Segment, Tensor]:
-    """Return readings side by side as one segment, and the standard deviations of the biases in it, (M,).
+    """Return readings side by side as one segment, and the standard deviations of their biases, (M,).
 
-    Each sensor, and each standard deviation in a reading, is a group of columns.
+    Each combination of sensor and stated standard deviations is a group of columns.
     """
     groups = {(one.sensor, one.deviations): [] for one in readings}
     times = sorted({one.time for one in readings})
@@ -202,7 +202,7 @@ def segment_of(
 
 
 def candidates(run: Run, segment: Segment) -> Tensor:
-    """Return states (C, D) at the first time from which a fit is tried: training states, and guesses."""
+    """Return candidate states (C, D) at the first time: training states, and guesses from measurements."""
     nothing = segment.values.new_zeros(1, len(run.space.components))
     states = nothing if run.domain is None else run.domain.states
     tried = [states[:: -(-len(states) // TRIED)]]
@@ -217,7 +217,7 @@ def candidates(run: Run, segment: Segment) -> Tensor:
 
 
 def orbit_guess(run: Run, segment: Segment) -> Tensor | None:
-    """Return the state (1, D) at the first time by Gibbs or Herrick-Gibbs; None for no Earth satellite."""
+    """Return the state (1, D) at the first time by Gibbs or Herrick-Gibbs; None where these do not apply."""
     space = run.space
     if (space.dof, space.units.position, space.units.velocity) != (3, "km", "km/s"):
         return None
@@ -234,8 +234,8 @@ def orbit_guess(run: Run, segment: Segment) -> Tensor | None:
 def covariance_of(run: Run, best: BestFit, bias_sd: Tensor) -> Tensor:
     """Return the covariance (D, D) of the last state of a fitted path.
 
-    Causes are the noise, and parameters and biases that the fit treats as known (consider covariance; Tapley,
-    Schutz & Born 2004, chapter 6).
+    It accounts for noise, and for parameters and biases that the fit treats as known (consider covariance;
+    Tapley, Schutz & Born 2004, chapter 6).
 
     Raises:
         UserError: measurements that do not determine all components.

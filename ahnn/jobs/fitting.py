@@ -21,7 +21,7 @@ log = logging.getLogger("ahnn")
 
 
 def fit(prepared: Prepared) -> float:
-    """Train and return the duration of all steps in seconds, also of those before a resumption."""
+    """Train and return the duration of all steps in seconds, including those before a resumption."""
     trainer = prepared.trainer
     calibrate(prepared)
     if prepared.model.dynamics.begins_known and prepared.checkpoint is None:
@@ -34,7 +34,7 @@ def fit(prepared: Prepared) -> float:
 
 
 def calibrate(prepared: Prepared) -> None:
-    """Fit a model's scalings to the training split, and record its metadata."""
+    """Fit a model's scalings to the training split, and record the metadata of the data."""
     data, model, trainer = prepared.data, prepared.model, prepared.trainer
     statistics = data.statistics()
     model.calibrate(statistics)

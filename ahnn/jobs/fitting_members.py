@@ -1,4 +1,4 @@
-"""Ensembles: fit of all members in one loop, evaluation of each in a run folder of its own."""
+"""Ensembles: fit of all members in one loop, and evaluation of each member in its own run folder."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class PreparedEnsemble:
     """Joint training runs, before anything is generated or written.
 
     Attributes:
-        folder: folder of the ensemble; the folders of the members are inside.
-        config: content of its config.yaml.
-        members: the training of each member, which share their data.
+        folder: folder of the ensemble, which contains the folders of the members.
+        config: content of the ensemble's config.yaml.
+        members: training run of each member; all share the same data.
         model: the members as one model.
         trainer: trainer of all members.
         checkpoint: checkpoint of the ensemble to resume from; None for a new training.

@@ -20,13 +20,13 @@ from ahnn.tracking.tracking_data import KINDS, TrackingData
 
 @dataclass(eq=False)
 class FollowedMeasurements:
-    """Measurements of a satellite as lines of a stream; notified of each accepted one.
+    """Measurements of a satellite as lines of a stream, and the innovations of accepted ones.
 
     Attributes:
         data: all measurements, including the fitted ones.
-        rows: mask of the measurements followed, (N,) bool.
+        rows: mask of the filtered measurements, (N,) bool.
         names: names of all estimated components.
-        beside: function of a time that returns further estimates to report at the end.
+        beside: function of the final mean and time that returns further lines to report.
         told: times, innovations and their standard deviations, by station and kind.
     """
 
@@ -38,7 +38,7 @@ class FollowedMeasurements:
 
     @property
     def content(self) -> bytes:
-        """The measurements as a table, times in seconds after the epoch of the data."""
+        """The filtered measurements as a table; times are in seconds after the epoch of the data."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         kinds = [k for k, column in enumerate(self.data.values.T) if np.isfinite(column).any()]
@@ -51,12 +51,12 @@ class FollowedMeasurements:
         return text.getvalue().encode()
 
     def kinds(self, station: int) -> list[int]:
-        """Return which of `KINDS` a station measures."""
+        """Return the indices of the `KINDS` that a station measures."""
         seen = np.isfinite(self.data.values[self.data.station == station]).any(0)
         return [int(k) for k in np.flatnonzero(seen)]
 
     def __call__(self, number: int, reading: Reading, estimate: Estimate, counts: Counter[str]) -> None:
-        """Record the innovation of a reading; see `ahnn.assimilation.session.Watcher`."""
+        """Record the innovation of an accepted reading; see `ahnn.assimilation.session.Watcher`."""
         del number, counts
         if estimate.innovation is None or estimate.outcome != "taken":
             return
@@ -67,7 +67,7 @@ class FollowedMeasurements:
                 self.told.setdefault((station, kind), []).append((reading.time, e, sd))
 
     def lines(self, moments: Belief, time: float) -> list[str]:
-        """Return a table of the innovations, and the final estimates of all but the orbit."""
+        """Return a table of innovations and biases, and the final parameters of known forces."""
         mean, deviations = moments.mean[0].tolist(), moments.chol[0].norm(dim=-1).tolist()
         known = {name: (mean[k], deviations[k]) for k, name in enumerate(self.names)}
         rows = []

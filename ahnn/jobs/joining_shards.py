@@ -57,10 +57,10 @@ def output_of(options: AssimilationRequest, shard: ObjectShard) -> Path:
 def join(
     stream: Stream, catalogue: Catalogue, shards: Sequence[ObjectShard], found: Sequence[CatalogueOutcome]
 ) -> None:
-    """Merge the outputs of all workers into one, and conclude as a single worker does.
+    """Merge the outputs of all workers into one, and conclude as for a single worker.
 
     Raises:
-        UserError: outputs that do not have one row for each followed line.
+        UserError: the outputs do not have one row for each assimilated line.
         TrainingError: no line was accepted, or most were rejected.
     """
     options, tally = stream.asked, StreamTally.joined(one.tally for one in found)
@@ -77,7 +77,7 @@ def join(
 
 
 def together(parts: Sequence[Starts], order: dict[str, int]) -> Starts:
-    """Return the states of all parts, sorted by the places of their names; unknown names come last."""
+    """Return the states of all parts, sorted by the given order of names; unknown names come last."""
     names = [name for part in parts for name in part.names]
     rows = sorted(range(len(names)), key=lambda k: order.get(names[k], len(order)))
     states = torch.cat([part.states for part in parts])[rows]

@@ -27,7 +27,7 @@ def named_runs(run: str | list[str] | None, pretrained: str | None, ckpt: str) -
 
 
 def opened(run: str | list[str] | None) -> str | list[str] | None:
-    """Return run folders with those of ensembles replaced by the folders of their members."""
+    """Replace the folders of ensembles among run folders by the folders of their members."""
     if run is None:
         return None
     given = run if isinstance(run, list) else [run]

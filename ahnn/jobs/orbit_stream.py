@@ -1,4 +1,4 @@
-"""An orbit determination continued line by line: its forces, stations and biases in a filter."""
+"""Orbit determination continued line by line, by a filter with the same forces, stations and biases."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ from ahnn.types import Space, Units
 log = logging.getLogger("ahnn")
 
 SPACE = Space("orbit", ("x", "y", "z", "px", "py", "pz"), Units("s", "km", "km/s", "km²/s²"))
-"""Space of the states; velocities are momenta of mass 1, so that tracks are starts of learned models."""
+"""Space of the states; velocities are momenta of mass 1, so that learned models can start from the tracks."""
 LONGEST = 3600.0
 """Longest step of the filter, s; the flow takes shorter steps."""
 MINUTE = 60.0
-"""Time in which a given process noise is added, s."""
+"""Time over which the given process noise is added, s."""
 Mask = NDArray[np.bool_]
 
 
@@ -66,11 +66,11 @@ class OrbitFollowing(NamedTuple):
 
 
 def orbit_stream(asked: AssimilationRequest, orbit: OrbitFollowing) -> Stream:
-    """Return the stream of measurements that continues from a known orbit.
+    """Return the stream of measurements that continues from a fitted or given orbit.
 
     Raises:
         UserError: an invalid file or option.
-        TrainingError: no fit.
+        TrainingError: the fit fails.
     """
     ready, belief, rows = fitted_start(asked, orbit) if asked.start == "fit" else given_start(asked, orbit)
     problem, data = ready.problem, ready.problem.model.data
@@ -101,13 +101,13 @@ def orbit_stream(asked: AssimilationRequest, orbit: OrbitFollowing) -> Stream:
 
 
 def flow_of(problem: OrbitProblem) -> SatelliteFlow:
-    """Return the forces of a problem as a flow of the states of its unknowns."""
+    """Return the flow under the forces of a problem, for states of its estimated unknowns."""
     unknowns, forces = problem.unknowns, slice(SIZE, SIZE + problem.unknowns.forces)
     return SatelliteFlow(problem.forces, unknowns.mean[forces], unknowns.free[forces])
 
 
 def process_of(flow: SatelliteFlow, belief: OrbitBelief, orbit: OrbitFollowing) -> Process:
-    """Return the estimator with the forces of an orbit, which begins with a belief."""
+    """Return the estimator with the forces of an orbit, started from a belief about all unknowns."""
     size = len(belief.mean)
     whole = initial_belief(belief.mean[None], 0.5 * (belief.covariance + belief.covariance.T))
     noise = torch.zeros(size, size, dtype=torch.float64)
@@ -139,11 +139,11 @@ def sensors_of(
 def fitted_start(
     asked: AssimilationRequest, orbit: OrbitFollowing
 ) -> tuple[PreparedOrbit, OrbitBelief, Mask]:
-    """Fit the first measurements; return the problem, the belief at the last one, and the rest of them.
+    """Fit the first measurements; return the problem, the belief at the last one, and a mask of the rest.
 
     Raises:
-        UserError: the number to fit is not given.
-        TrainingError: no fit.
+        UserError: the number of measurements to fit is not given.
+        TrainingError: the fit fails.
     """
     setup, folder = orbit.setup, orbit.folder
     data = measured(setup, folder)
@@ -163,7 +163,7 @@ def fitted_count(wanted: float | None, held_out: float, count: int, *, whole: bo
     """Return the number of measurements to fit.
 
     Args:
-        wanted: number, or fraction below 1; None: all that are not held out.
+        wanted: number, or a fraction below 1; None: all that are not held out.
         held_out: fraction held out.
         count: number of all measurements.
         whole: whether all of them may be fitted.
@@ -182,10 +182,10 @@ def fitted_count(wanted: float | None, held_out: float, count: int, *, whole: bo
 
 
 def given_start(asked: AssimilationRequest, orbit: OrbitFollowing) -> tuple[PreparedOrbit, OrbitBelief, Mask]:
-    """Return the problem with a given start, the belief there, and all measurements.
+    """Return the problem with a given start, the belief at the start, and a mask of all measurements.
 
     Raises:
-        UserError: no start with its covariance, or an unknown without prior.
+        UserError: a start without covariance, or an unknown without prior.
     """
     setup = orbit.setup
     if orbit.other is not None:
@@ -207,7 +207,7 @@ def given_start(asked: AssimilationRequest, orbit: OrbitFollowing) -> tuple[Prep
 
 
 def no_carry(states: Tensor, times: Tensor, covariances: Tensor) -> Tensor:
-    """Raise UserError for the covariance of an earlier state."""
+    """Raise UserError, since the covariance of an earlier state is not propagated."""
     del states, times, covariances
     message = (
         "start: expected the covariance of its last state; received the covariance of an earlier state. Add "

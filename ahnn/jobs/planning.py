@@ -1,4 +1,4 @@
-"""Planning job: the sessions of ground stations, or position fixes, that make a forecast most precise."""
+"""Planning job: sessions of ground stations, or position fixes, that make a forecast most precise."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ class PlannedSensor(NamedTuple):
     Attributes:
         name: name of the station, or `fix`.
         model: map (x (D,), t) -> M values.
-        deviations, bias_sd: (M,) standard deviations of their noise and of their constant biases.
-        joined: whether measurements without a gap belong to one session, a pass.
+        deviations, bias_sd: (M,) standard deviations of the noise and of constant biases.
+        joined: whether measurements without a gap form one session, a pass.
     """
 
     name: str
@@ -76,7 +76,7 @@ class Candidate(NamedTuple):
 
     Attributes:
         name: name of the instrument.
-        samples: (K,) indices of their times.
+        samples: (K,) indices of the measurement times.
         rows: (K M, R) derivatives with respect to the unknowns, divided by the standard deviations.
     """
 
@@ -131,7 +131,7 @@ def plan(asked: PlanRequest) -> None:
 
 
 def lines_of(table: list[tuple[str, str, str, int]], spreads: list[float], unit: str) -> list[str]:
-    """Return the sessions in lines, each with the standard deviation of the forecast after it."""
+    """Return a line for each session, with the standard deviation of the forecast after it."""
     lines = [line("", f"position sd [{unit}]"), line("before", f"{spreads[0]:.4g}")]
     for (name, first, last, count), sd in zip(table, spreads[1:], strict=True):
         lines.append(line(f"{name}, {first} to {last}, {count} measurements", f"{sd:.4g}"))
@@ -144,7 +144,7 @@ def line(text: str, value: str) -> str:
 
 
 def stations_of(file: str, begin: Starts, run: Run) -> list[PlannedSensor]:
-    """Return the stations of a file, on an Earth that turns from the epoch of time zero."""
+    """Return the stations of a file, on an Earth that rotates from the epoch of time zero."""
     if begin.reference.epoch is None:
         log.warning("epoch: not given; the Greenwich meridian is assumed to lie on the x axis at time zero")
     made, angle = [], earth_axes(begin.reference)
@@ -156,7 +156,7 @@ def stations_of(file: str, begin: Starts, run: Run) -> list[PlannedSensor]:
 
 
 def fixes(sd: list[float] | float | None, run: Run) -> list[PlannedSensor]:
-    """Return a sensor of the position, each fix a separate session.
+    """Return a position sensor; each fix is a separate session.
 
     Raises:
         UserError: no standard deviations.
@@ -177,8 +177,8 @@ def candidates(
     Args:
         instruments: instruments of possible measurements.
         states: (T, D) predicted states.
-        factors: (T, D, R) factors of their covariances.
-        times: (T,).
+        factors: (T, D, R) factors of the covariances of the states.
+        times: (T,) times of the states.
         most: maximum number of times in a session of a station.
     """
     biased = sum(int((one.bias_sd > 0).sum()) for one in instruments)
@@ -198,14 +198,14 @@ def candidates(
 
 
 def passes(seen: Tensor) -> list[Tensor]:
-    """Return the indices of each run of consecutive visible samples (T,)."""
+    """Return the indices of visible samples (T,), one tensor for each uninterrupted pass."""
     samples = seen.nonzero().flatten()
     gaps = (samples.diff() > 1).nonzero().flatten() + 1
     return [part for part in samples.tensor_split(gaps) if len(part)]
 
 
 def row_of(one: Candidate, times: Tensor, begin: Starts, clock: str) -> tuple[str, str, str, int]:
-    """Return name, begin, end and number of measurements; epochs where time zero has one."""
+    """Return name, beginning, end and number of measurements; times are epochs if time zero has one."""
     ends = [float(times[int(k)]) + float(begin.times[0]) for k in (one.samples[0], one.samples[-1])]
     if begin.reference.epoch is None:
         first, last = (f"{time:g}" for time in ends)
@@ -217,7 +217,7 @@ def row_of(one: Candidate, times: Tensor, begin: Starts, clock: str) -> tuple[st
 
 
 def beside(rows: list[Tensor], forecast: Tensor, count: int, reached: float) -> list[str]:
-    """Compare a plan with equally spaced sessions: the same number, and the number of equal precision."""
+    """Compare a plan with equally spaced sessions: the same number, and the number that is as precise."""
     lines = []
     for more in range(count, len(rows) + 1):
         equal = [rows[k] for k in evenly_spaced(len(rows), more)]

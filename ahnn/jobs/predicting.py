@@ -47,7 +47,7 @@ def predict(asked: PredictionRequest) -> None:
 
     Raises:
         UserError: a missing run, invalid starts, or an output that cannot be written.
-        TrainingError: predicted states of every trajectory are not finite.
+        TrainingError: every trajectory has predicted states that are not finite.
     """
     asked = replace(asked, run=opened(asked.run))
     workers = None if asked.workers is None else Workers.of(asked.workers)

@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from ahnn.jobs.predicting import PredictionRequest
 
 TOGETHER = 250
-"""Number of starts of a block. What is decided for all of them, such as the order of a quadrature, does not
-depend on the number of workers."""
+"""Number of starts in a block. Decisions for a whole block, such as the order of a quadrature, therefore do
+not depend on the number of workers."""
 
 
 class StartBlock(NamedTuple):
     """Starts that one process predicts.
 
     Attributes:
-        runs: folders of the trainings; empty for a shipped model.
+        runs: run folders; empty for a shipped model.
         pretrained: name of a shipped model.
         ckpt: weights to use: `best`, `last`, or a path.
         states: (B, D) starts.
@@ -47,7 +47,7 @@ class StartBlock(NamedTuple):
 
 def blocks_of(asked: PredictionRequest, begin: Starts, moments: Moments) -> list[StartBlock]:
     """Divide the starts of a prediction."""
-    _loaded.cache_clear()  # the folder, or the place that a relative path names, may have changed since
+    _loaded.cache_clear()  # a run folder, or the working directory, may have changed in the meantime
     runs = () if asked.run is None else tuple(asked.run) if isinstance(asked.run, list) else (asked.run,)
     states = begin.states.split(TOGETHER)
     known = [None] * len(states) if begin.covariances is None else begin.covariances.split(TOGETHER)
@@ -58,7 +58,7 @@ def blocks_of(asked: PredictionRequest, begin: Starts, moments: Moments) -> list
 
 
 def predict_block(block: StartBlock) -> Prediction:
-    """Return the mean prediction of all runs; raises the errors of `Run.predict`."""
+    """Return the mean prediction of all runs; raises the same errors as `Run.predict`."""
     controls = block.moments.controls
     found = []
     for run in _loaded(block.runs, block.pretrained, block.ckpt):
@@ -71,7 +71,7 @@ def predict_block(block: StartBlock) -> Prediction:
 
 @cache
 def _loaded(runs: tuple[str, ...], pretrained: str | None, ckpt: str) -> list[Run]:
-    """Return runs, all with a parameter covariance or all without: a mean over some is meaningless."""
+    """Return runs, all with or all without a parameter covariance: a mean over only some is meaningless."""
     found = named_runs(list(runs) or None, pretrained, ckpt)
     if not all(run.uncertainty for run in found):
         return [replace(run, uncertainty=None) for run in found]

@@ -20,10 +20,10 @@ class Assessment(NamedTuple):
 
     Attributes:
         plugins: additional evaluations by name.
-        seed: seed of the perturbed starts.
+        seed: random seed for perturbed starts.
         report: options of `ahnn.evaluation.publish`.
         searched: keys varied by a search, for TensorBoard's comparison of runs.
-        caveat: reason why the training cannot make a good model; "" without one.
+        caveat: reason why the training cannot produce a good model; "" without one.
     """
 
     plugins: Mapping[str, EvaluationPlugin]
@@ -39,9 +39,9 @@ class Prepared:
 
     Attributes:
         label: name in tables.
-        seed: seed for the weights and the batches.
+        seed: random seed for weights and batches.
         folder: run folder.
-        config: content of its config.yaml.
+        config: content of the folder's config.yaml.
         data: source, splits, sensor, and batch sampling.
         model: dynamics, objectives, optimiser and scheduler, and checkpoint metadata.
         trainer: epochs, devices, callbacks, loggers.

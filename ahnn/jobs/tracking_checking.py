@@ -26,7 +26,7 @@ LISTED = 20
 
 
 def tracking_check(path: Path) -> tuple[list[Finding], RenderableType]:
-    """Return the defects of a file, and a summary; raises UserError if it is missing."""
+    """Return the defects of a file, and a summary; raises UserError if the file is missing."""
     kind = kind_of(content_of(path), str(path))
     said: list[Fault | Remark] = []
     shown: list[RenderableType] = []

@@ -1,4 +1,4 @@
-"""Predictions by learned dynamics: states with covariance and novelty."""
+"""Predictions with learned dynamics: states with covariance and novelty."""
 
 from __future__ import annotations
 

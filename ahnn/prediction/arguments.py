@@ -1,4 +1,4 @@
-"""Conversion of states and time steps from Python users to inputs of dynamics."""
+"""Conversion of states, time steps and controls given by Python users to inputs of dynamics."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from ahnn.types import Space, TimeStep
 
 
 def states_of(x: Numbers, who: str, dynamics: Dynamics, space: Space) -> Tensor:
-    """Return states (..., 2n), of the type and on the device of the parameters of the dynamics.
+    """Return states (..., 2n) with the dtype and on the device of the parameters of the dynamics.
 
     Raises:
-        UserError: not states of the space; the message begins with `who`.
+        UserError: the values are not states of the space; the message begins with `who`.
     """
     like = next(dynamics.parameters(), torch.empty(0, dtype=torch.float64))
     states, size = as_float64(x, who, like.device).to(like.dtype), len(space.components)
@@ -31,7 +31,7 @@ def states_of(x: Numbers, who: str, dynamics: Dynamics, space: Space) -> Tensor:
 
 
 def starts_of(start: Numbers, dynamics: Dynamics, space: Space) -> Tensor:
-    """Return finite starts (B, 2n) of (B, 2n) or (2n,); raises UserError otherwise."""
+    """Return finite starts (B, 2n) from states (B, 2n) or (2n,); raises UserError otherwise."""
     x = torch.atleast_2d(states_of(start, "start", dynamics, space))
     if x.ndim > 2:
         message = f"start: expected shape (B, {x.shape[-1]}); received {tuple(x.shape)}"
@@ -68,11 +68,11 @@ def clock_along(
         lengths: step lengths, common or (B, count).
         count: number of steps.
         start_time: time of the first step.
-        controls: values of each step, (count, m) or (B, count, m); None without controls.
+        controls: values during each step, (count, m) or (B, count, m); None without controls.
         starts: number B of starts.
 
     Raises:
-        UserError: controls that are missing, of the wrong shape, or without effect.
+        UserError: see `controls_of`.
     """
     size = max(0, dynamics.clock - 1)
     given = controls_of(controls, count, size, starts)
@@ -88,10 +88,10 @@ def clock_along(
 def clock_of_samples(
     dynamics: Dynamics, times: Tensor, controls: Numbers | None, starts: int, *, linear: bool
 ) -> Clock | None:
-    """Return the clock at times (T,) with controls (T, m) or (B, T, m), None if autonomous.
+    """Return the clock at times (T,) with controls (T, m) or (B, T, m); None for autonomous dynamics.
 
     Raises:
-        UserError: controls that are missing, of the wrong shape, or without effect.
+        UserError: see `controls_of`.
     """
     given = controls_of(controls, len(times), max(0, dynamics.clock - 1), starts)
     if not dynamics.clock:
@@ -100,10 +100,10 @@ def clock_of_samples(
 
 
 def controls_of(controls: Numbers | None, count: int, size: int, starts: int) -> Tensor | None:
-    """Return m = `size` controls at `count` instants, (count, m) or (B, count, m), None for m = 0.
+    """Return m = `size` controls at `count` instants, (count, m) or (B, count, m); None for m = 0.
 
     Raises:
-        UserError: they are missing, of the wrong shape, or without effect.
+        UserError: the controls are missing, of the wrong shape, too large, or not used by the dynamics.
     """
     given = None if controls is None else as_float64(controls, "controls")
     shapes = ((count, size), (starts, count, size))

@@ -1,4 +1,4 @@
-"""Parsing of durations: `1d`, `90min`, or a number in the unit of time of a space."""
+"""Parsing of durations: `1d`, `90min`, or a number in the time unit of a space."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ AMOUNT = re.compile(r"\s*(?P<number>[\d.]+([eE][+-]?\d+)?)\s*(?P<unit>[A-Za-z]+)
 
 
 def duration(value: str | float, who: str, base: str) -> float:
-    """Parse a duration to a unit of time.
+    """Parse a duration and convert it to a unit of time.
 
     Args:
         value: a number, or a number followed by a unit.
@@ -46,7 +46,7 @@ def duration(value: str | float, who: str, base: str) -> float:
 
 
 def grid(total: float, step: float) -> Tensor:
-    """Return the times (T,) from 0 to a duration at equal steps, the last step possibly shorter."""
+    """Return the times (T,) from 0 to a duration in equal steps; the last step may be shorter."""
     require_memory("duration and step", "times", 8.0 * (total / step))  # checked before counting: may be inf
     count = substeps(total, step)
     times = step * torch.arange(count + 1, dtype=torch.float64)
@@ -55,6 +55,6 @@ def grid(total: float, step: float) -> Tensor:
 
 
 def picoseconds(time: float, base: str) -> int:
-    """Return a time in the unit of a space as integer picoseconds; dimensionless times are seconds."""
+    """Convert a time in the unit of a space to integer picoseconds; dimensionless times are seconds."""
     clock = unit(base)
     return round(time * (clock.size if clock.dimension == TIME else 1.0) * SECOND)

@@ -38,7 +38,8 @@ def ephemerides(prediction: Prediction, starts: Starts, space: Space) -> list[Ep
     """Return a segment for each trajectory, in km, km/s and s.
 
     Raises:
-        UserError: a space without three positions in a length, no epoch, or no frame, centre or time system.
+        UserError: a space without three positions in units of length, or a missing epoch, frame, centre or
+            time system.
     """
     require_velocities(space, "output")
     position, second = unit(space.units.position), unit(space.units.time)

@@ -13,7 +13,7 @@ from ahnn.types import Space
 SIGMAS = 3
 """Half-width of the band, in standard deviations."""
 PLOTTED = 300
-"""Number of sampling intervals in a plot without times."""
+"""Number of sampling intervals in a plot if no times are given."""
 
 
 def prediction_figure(prediction: Prediction, space: Space, title: str) -> Figure:

@@ -1,4 +1,4 @@
-"""One batch of paths, followed in segments with their sensitivities to starts and parameters."""
+"""Propagation of a batch of paths in segments, with sensitivities to starts and parameters."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Knowledge(NamedTuple):
 
     @property
     def columns(self) -> int:
-        """Number of columns of the factor of a state's covariance; 0 if unknown."""
+        """Number of columns of a state's covariance factor; 0 if the covariance is unknown."""
         of_starts = 0 if self.start is None else self.start.shape[-1]
         return of_starts + (0 if self.spread is None else self.spread.shape[1])
 
@@ -64,7 +64,7 @@ class PathRows(NamedTuple):
 class FollowedPath:
     """Current states of a batch of paths, with sensitivities to start and parameters.
 
-    PathRows contain the factors of covariances instead if requested, in float64.
+    With `factors`, `PathRows` contain factors of the covariances, in float64, instead of the covariances.
     """
 
     def __init__(self, dynamics: Dynamics, known: Knowledge, *, factors: bool = False) -> None:
@@ -100,7 +100,7 @@ class FollowedPath:
     def _columns(
         self, states: Tensor, lengths: Tensor, novelty: Tensor | None, clock: Clock | None
     ) -> Tensor:
-        """Return the columns at states (B, N + 1, D), shape (B, N + 1, D, R)."""
+        """Return the covariance factors at states (B, N + 1, D), shape (B, N + 1, D, R)."""
         steps = Steps(lengths, torch.arange(lengths.shape[1] + 1))
         if self.quartered:
             steps, states = steps.quarters(), in_quarters(self.dynamics.increment, states, lengths)
@@ -122,7 +122,7 @@ class FollowedPath:
         return pad(forcing, (0, self.known.columns - forcing.shape[-1]))
 
     def _covariances(self, moved: Tensor) -> Tensor | None:
-        """Return M M^T in float64, or M; in float32 it could have negative eigenvalues."""
+        """Return M M^T, or M, in float64; in float32, M M^T could have negative eigenvalues."""
         wide = moved.double()
         if self.factors:
             return wide

@@ -1,4 +1,4 @@
-"""Predictions of many trajectories: blocks joined, and those that are not finite reported and left out."""
+"""Predictions of many trajectories: blocks are joined; non-finite trajectories are reported and omitted."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NAMED = 5
 
 
 def joined(parts: Sequence[Prediction]) -> Prediction:
-    """Return the predictions of several blocks of starts as one, in their order."""
+    """Join the predictions of several blocks of starts, in the given order."""
     columns = [
         None if rows[0] is None else torch.cat(rows) for rows in zip(*(p[1:] for p in parts), strict=True)
     ]

@@ -1,9 +1,9 @@
-"""Measurements that lower the variance of a forecast most, chosen before any is taken.
+"""Measurements that lower the variance of a forecast most, chosen before any measurement is made.
 
-To first order, a measurement's information does not depend on its value. The unknowns are independent and
-have unit variance; they correspond to the columns of covariance factors. A plan grows by the candidate that
-lowers the trace of the forecast's covariance most; then individual measurements are exchanged while that
-lowers it further (Fedorov 1972, Theory of Optimal Experiments, chapter 3).
+To first order, the information of a measurement does not depend on its value. The unknowns are independent
+and have unit variance; they correspond to the columns of covariance factors. The candidate that lowers the
+trace of the forecast's covariance most is added, one at a time; then single measurements are exchanged as
+long as this lowers the trace further (Fedorov 1972, Theory of Optimal Experiments, chapter 3).
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ import torch
 from torch import Tensor
 
 SWEEPS = 10
-"""Number of exchanges of each measurement, at most."""
+"""Maximum number of exchanges of each measurement."""
 MARGIN = 1e-6
-"""Relative gain of an exchange above rounding."""
+"""Minimum relative gain of an exchange, above rounding errors."""
 
 
 class MeasurementPlan(NamedTuple):
@@ -25,7 +25,7 @@ class MeasurementPlan(NamedTuple):
 
     Attributes:
         chosen: indices of C candidates.
-        variances: (C + 1,) trace of the forecast's covariance before the first and after each of them.
+        variances: (C + 1,) trace of the forecast's covariance before the first and after each measurement.
     """
 
     chosen: list[int]
@@ -40,7 +40,7 @@ def plan_measurements(candidates: Sequence[Tensor], forecast: Tensor, count: int
         candidates: for each, the derivatives (K, R) of its K measurements with respect to the unknowns,
             divided by their standard deviations.
         forecast: (G, R) derivative of the predicted values.
-        count: number to choose, at most all.
+        count: maximum number of measurements to choose.
     """
     rows, everything = list(candidates), range(len(candidates))
     chosen, _ = _one_by_one(rows, forecast, everything, count)
@@ -63,7 +63,7 @@ def plan_measurements(candidates: Sequence[Tensor], forecast: Tensor, count: int
 def _one_by_one(
     rows: list[Tensor], forecast: Tensor, among: Sequence[int], count: int
 ) -> tuple[list[int], Tensor]:
-    """Choose the best of some candidates in addition to earlier ones; return also the variances."""
+    """Choose candidates one by one, each the best addition to earlier ones; also return the variances."""
     chosen, variances = [], [_trace(forecast)]
     for _ in range(min(count, len(among))):
         left = [k for k in among if k not in chosen]
@@ -80,7 +80,7 @@ def variance_with(candidates: Sequence[Tensor], forecast: Tensor) -> Tensor:
 
 
 def evenly_spaced(candidates: int, count: int) -> list[int]:
-    """Return the indices of `count` of many candidates in the order of time, as evenly as possible."""
+    """Return the indices of `count` candidates, ordered in time and spaced as evenly as possible."""
     return torch.linspace(0, candidates - 1, count).round().long().unique().tolist()
 
 
@@ -96,7 +96,7 @@ def _reduction(rows: Tensor, forecast: Tensor) -> float:
 
 
 def _informed(parts: Sequence[Tensor], rows: Tensor) -> list[Tensor]:
-    """Return derivatives with respect to unknowns that have unit variance after measurements (K, R)."""
+    """Transform derivatives to unknowns that have unit variance after measurements with `rows` (K, R)."""
     information = torch.eye(rows.shape[1]).to(rows) + rows.mT @ rows
     root = torch.linalg.cholesky(information)
     return [torch.linalg.solve_triangular(root, part.mT, upper=False).mT for part in parts]

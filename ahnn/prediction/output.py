@@ -21,11 +21,11 @@ PICTURES = (".png", ".svg")
 
 
 def require_output(path: Path, starts: Starts, space: Space) -> None:
-    """Check before any computation that the output file can be written.
+    """Check, before any computation, that the output file can be written.
 
     Raises:
-        UserError: unknown extension, missing folder, or an ephemeris message of states that are not an orbit
-            with epoch.
+        UserError: unknown extension, missing folder, or an ephemeris message for states that are not an orbit
+            with an epoch.
     """
     if path.suffix.lower() not in SUFFIXES or not path.parent.is_dir() or path.is_dir():
         message = f"output: expected {_file_of(SUFFIXES)}; received {path}"

@@ -49,7 +49,7 @@ def columns(prediction: Prediction, starts: Starts, space: Space) -> dict[str, A
 
 
 def described(starts: Starts, space: Space) -> Sidecar:
-    """Return the sidecar of a table: with which data readers treat the prediction as trajectories."""
+    """Return the sidecar that makes data readers interpret a prediction table as trajectories."""
     names, momenta = list(space.components[: space.dof]), list(space.components[space.dof :])
     reference = starts.reference
     rates = {"velocities": [f"v{name}" for name in names]} if space.mechanical else {"momenta": momenta}

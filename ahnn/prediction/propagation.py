@@ -37,7 +37,7 @@ class Prediction(NamedTuple):
     """Predicted trajectories.
 
     Attributes:
-        times: (T,) times, the first at the starts.
+        times: (T,) times; the first is that of the starts.
         states: (B, T, D) predicted states.
         covariances: (B, T, D, D) covariances, or None if unknown.
         novelty: (B, T) distance from the training data, scaled to 1 at its edge; None if unknown.
@@ -99,17 +99,17 @@ def prediction_factors(
 ) -> tuple[Tensor, Tensor]:
     """Return predicted states (T, D) and factors (T, D, R) of their covariances, both float64.
 
-    The R causes are independent with unit variance: first the parameters, then the start.
+    The R columns are independent causes of unit variance: first those of the parameters, then of the start.
 
     Args:
         dynamics: float64 dynamics.
         start: (D,) state at the first of the times.
         times: (T,) increasing.
         longest: maximum integrator step.
-        known: uncertainty information, of the start at least.
+        known: uncertainty information, at least on the start or the parameters.
 
     Raises:
-        UserError: the errors of `predicted`.
+        UserError: the same errors as `predicted`.
     """
     require_times(times)
     require_finite(start)
@@ -152,10 +152,10 @@ def needs_quarters(dynamics: Dynamics, start: Tensor, steps: Steps) -> bool:
 
 
 def together(predictions: Sequence[Prediction]) -> Prediction:
-    """Combine predictions of several runs to their mean, with their spread in the covariance.
+    """Combine predictions of several runs: their mean, with a covariance that includes their spread.
 
-    Law of total covariance: the mean of the individual covariances, if all are known, plus the sample
-    covariance of the states. The novelty is the maximum.
+    By the law of total covariance, it is the mean of the individual covariances, if all are known, plus the
+    sample covariance of the states. The novelty is the maximum.
     """
     first, *others = predictions
     if not others:

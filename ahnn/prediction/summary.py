@@ -35,7 +35,7 @@ def summary(prediction: Prediction, starts: Starts, space: Space, title: str) ->
 def warning(
     prediction: Prediction, starts: Starts, space: Space, *, from_numbers: bool = False
 ) -> str | None:
-    """Return one line about states beyond the training data; None without such states or if unknown.
+    """Return one line about states beyond the training data, or about unknown novelty; None without them.
 
     Args:
         prediction: predicted states.

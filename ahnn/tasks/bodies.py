@@ -45,7 +45,7 @@ def three(count: int, generator: np.random.Generator) -> Tensor:
 def draw(
     k: int, *, bodies: int, orbits: int, samples: int, duration: float, tested: tuple[int, float]
 ) -> Draw:
-    """Draw exact orbits, and a score over given starts and duration."""
+    """Draw exact orbits; `tested` gives the number of starts and the duration of the score."""
     begin = two if bodies == 2 else three
     system = NBody(name=f"{bodies}_bodies", bodies=bodies, dt=duration / (samples - 1), steps=samples - 1)
     with torch.no_grad():

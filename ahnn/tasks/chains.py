@@ -30,7 +30,7 @@ def points(q: np.ndarray, lengths: np.ndarray) -> np.ndarray:
 def begin(count: int, system: ChainPendulum, generator: np.random.Generator) -> Tensor:
     """Return starts (count, 2n): normal angles, link ends displaced by 0.2 m, random velocities.
 
-    Displaced ends are projected on the rods link by link, and velocities by least squares.
+    Displaced ends are projected onto the rods link by link, and velocities by least squares.
     """
     n, lengths = system.links, np.array(system.lengths)
     q, omega = generator.standard_normal((2, count, n))

@@ -25,7 +25,7 @@ class Draw(NamedTuple):
     Attributes:
         data: trajectories of training, validation and test, in this order.
         space: space of their states.
-        split: fractions of the three.
+        split: fractions of training, validation and test.
         score: score of predictions; lower is better.
         options: overrides of `ahnn.fit` required by this draw, such as its noise level.
         floor: lowest score allowed by the data; None if unknown.
@@ -85,16 +85,16 @@ def energy_error(
 
 
 def flow_through_encounters(system: System, parts: int = 64) -> Flow:
-    """Return the exact flow of bodies with close encounters, with substeps of fractions of the interval.
+    """Return the exact flow of bodies with close encounters, with at least `parts` substeps per interval.
 
-    Substeps are chosen by a few runs; of thousands, the closest encounters need shorter ones.
+    A few runs determine the number of substeps; the closest encounters among thousands of runs need more.
     """
     cut = {"dt": system.dt / parts, "steps": system.steps * parts}
     return exact_flow(dataclasses.replace(system, **cut))
 
 
 def numbers(draw: int, use: int = 0) -> np.random.Generator:
-    """Return a random generator for a draw, independent between uses."""
+    """Return the random generator of a draw, independent for each use."""
     return np.random.default_rng((draw, use))
 
 

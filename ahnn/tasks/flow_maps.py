@@ -1,6 +1,6 @@
 """Pendulum, double pendulum and three bodies from exact, widely spaced states (Horn et al. 2025).
 
-Tasks for maps from one sample to the next, and for fields, with the same budget: a number of epochs of
+Maps from one sample to the next, and vector fields, are trained with the same budget: a number of epochs of
 second-order steps on all windows.
 """
 
@@ -29,8 +29,8 @@ class Sampling(NamedTuple):
     """Training and test trajectories of a map.
 
     Attributes:
-        system: system; its interval is the step of the map, its number of steps the length of training runs.
-        runs: number of trajectories, a tenth each for validation and test.
+        system: system whose interval is the step of the map, and whose number of steps is that of the runs.
+        runs: number of trajectories, of which a tenth is for validation and a tenth for test.
         tested: number of test steps.
         begin: (count, draw) -> starts.
         quarter: whether trajectories end at the zero crossing of the first coordinate, a quarter of a swing.
@@ -62,7 +62,7 @@ def first_quarter(exact: Tensor) -> Tensor:
 
 
 def draw(k: int, *, sampling: Sampling) -> Draw:
-    """Draw exact trajectories, with the mean absolute error of test trajectories, angles modulo a turn."""
+    """Draw exact trajectories; the score is the mean absolute error in tests, angles modulo a full turn."""
     system, runs = sampling.system, sampling.runs
     starts = sampling.begin(runs, k)
     tests = starts[round(runs * (1 - SPLIT[2])) :]

@@ -14,7 +14,7 @@ from ahnn.systems import FilterNoise, System, Units
 from ahnn.tasks.definition import states
 
 NEAR, FAR = 0.3, 0.6
-"""Starts have squared distances from NEAR^2 to NEAR^2 + FAR^2 of the origin."""
+"""Starts have squared distances from the origin between NEAR^2 and NEAR^2 + FAR^2."""
 
 
 def begin(count: int, size: int, generator: np.random.Generator) -> Tensor:
@@ -71,7 +71,7 @@ class StiffChain(PlanarForm):
 @final
 @dataclass(frozen=True, kw_only=True)
 class CubicWell(PlanarForm):
-    """V = (a x^2 + b y^2) / 2 + c x^2 y - d y^3 / 3; all ones are Hénon-Heiles.
+    """V = (a x^2 + b y^2) / 2 + c x^2 y - d y^3 / 3; Hénon-Heiles if all coefficients are 1.
 
     Attributes:
         a, b, c, d: coefficients of the terms.

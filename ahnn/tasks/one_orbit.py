@@ -15,7 +15,7 @@ from ahnn.tasks.shooting_fit import fitted_start
 from ahnn.types import Trajectories
 
 COUPLING = 0.8
-"""Coupling mu of H = (p^2 + q^2) / 2 + mu (x^2 y - y^3 / 3): states times mu move as for mu = 1."""
+"""Coupling mu in H = (p^2 + q^2) / 2 + mu (x^2 y - y^3 / 3); states times mu follow the motion for mu = 1."""
 DURATION, RATE, TESTED_RATE = 40.0, 4, 10
 NOISE_VARIANCE = 0.05
 """Noise variance relative to the variance of each component."""
@@ -41,10 +41,10 @@ def true_motion(x: Tensor, steps: int, dt: float) -> Tensor:
 
 
 def draw(k: int) -> Draw:
-    """Draw one noisy orbit, with the error of its continuation from the best-fitting start.
+    """Draw one noisy orbit; the score is the error of its continuation from the best-fitting start.
 
-    Training uses pieces of it with separate starts, since shooting over the entire orbit does not converge.
-    It also serves for validation and test, as there are no other data.
+    Training uses pieces of the orbit with separate starts, since shooting over the entire orbit does not
+    converge. The same orbit serves for validation and test, as there are no other data.
     """
     start = begin(k)
     with torch.no_grad():

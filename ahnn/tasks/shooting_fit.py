@@ -1,7 +1,7 @@
 """Least-squares fit of starts and constants to noisy states, from predictions only.
 
-Predictions need an initial state: with noisy states it is the one that fits them best. The same fit with the
-true equations gives the floor of a task.
+If states are noisy, a prediction begins at the initial state that fits them best. The same fit with the true
+equations gives the floor of a task.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ STEP = 1e-5
 """Half-width of central differences, relative to the size of a component."""
 TRIALS, FACTOR, GAUSS_NEWTON = 40, 4.0, 6
 SETTLED, ROUGHLY = 1e-7, 1e-2
-"""Minimum relative decrease of squares for another step, in the last fit and in earlier ones."""
+"""Minimum relative decrease of the sum of squares for another step, in the last fit and in earlier ones."""
 
 
 def fitted_start(predict: Predict, observed: Tensor, dt: float, horizons: Sequence[int]) -> Tensor:
     """Fit the start (D,) whose prediction is closest to noisy states (T, D).
 
-    Chaotic motion has many optima, so the first samples are fitted before further ones.
+    Chaotic motion leads to many optima, so the first samples are fitted before further ones.
 
     Args:
         predict: model.
         observed: noisy states every dt, in units of equal noise.
         dt: time between samples.
-        horizons: number of samples of each fit, the last one the total.
+        horizons: number of samples of each fit; the last is T.
     """
     start = observed[0]
     for samples in horizons:
@@ -51,7 +51,7 @@ def least_squares(
         residuals: unknowns (B, P) -> residuals (B, R).
         start: initial unknowns, (P,).
         step: half-widths of central differences, (P,).
-        settled: minimum relative decrease of squares for another step.
+        settled: minimum relative decrease of the sum of squares for another step.
     """
     here, damping = start, 1e-3
     offsets = torch.diag(step)
@@ -82,8 +82,9 @@ def fitted_constants(
 ) -> Tensor:
     """Fit the constants (P,) of a known form to many noisy trajectories (B, T, D).
 
-    The starts of trajectories are eliminated: Gauss-Newton steps from constants near the optimum, with rows
-    projected on the complement of the starts (Golub & Pereyra 1973, SIAM J. Numer. Anal. 10, 413).
+    Gauss-Newton steps begin at constants near the optimum. The starts of trajectories are eliminated by
+    projection of the rows onto the orthogonal complement of the derivatives by the starts (Golub & Pereyra
+    1973, SIAM J. Numer. Anal. 10, 413).
 
     Args:
         predict_of: constants (P,) -> model.

@@ -22,13 +22,13 @@ TESTED = 100
 
 
 def well(constants: list[float]) -> System:
-    """Return Hénon-Heiles with given coefficients."""
+    """Return the Hénon-Heiles system with given coefficients."""
     a, b, c, d = constants
     return CubicWell(name="henon_heiles", a=a, b=b, c=c, d=d, dt=STEP, steps=STEPS)
 
 
 def stiff_chain(constants: list[float]) -> System:
-    """Return the chain with given springs."""
+    """Return the chain with given stiffness and softness."""
     stiffness, softness = constants
     return StiffChain(name="fermi_pasta", stiffness=stiffness, softness=softness, dt=STEP, steps=STEPS)
 
@@ -41,7 +41,7 @@ def double_pendulum(constants: list[float]) -> System:
 
 
 def draw(k: int, *, form: Callable[[list[float]], System], constants: list[float]) -> Draw:
-    """Draw noisy trajectories of four samples, with the error of the flow from other starts.
+    """Draw noisy trajectories of four samples; the score is the error of the flow from other starts.
 
     The floor is the error of the true form with constants fitted to the training trajectories.
     """

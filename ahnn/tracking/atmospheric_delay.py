@@ -95,7 +95,7 @@ def laser_zenith_delay(air: Air, wavelength: Array, latitude: float, height: flo
 
 
 def laser_mapping(elevation: Array, temperature: Array, latitude: float, height: float) -> Array:
-    """Return the mapping function FCULa (Mendes et al. 2002), from 3 degrees up; K, rad and km."""
+    """Return the mapping function FCULa (Mendes et al. 2002), valid from 3 degrees up; rad, K and km."""
     celsius, cosine, metres = temperature - 273.15, np.cos(latitude), 1e3 * height
     rows = (
         (12100.8e-7, 1729.5e-9, 319.1e-7, -1847.8e-11),
@@ -116,8 +116,8 @@ def radio_refractivity(air: Air) -> Array:
 def bending(elevation: Array, air: Air) -> Array:
     """Return the refraction in elevation, rad, (T,).
 
-    At high elevation it is (n - 1) cot E, for a flat atmosphere; towards the horizon the angle of Bennett
-    (1982) is used, cot (E + 7.31 / (E + 4.4)) in degrees, instead of the cotangent.
+    The result is (n - 1) cot (E + 7.31 / (E + 4.4)), in degrees (Bennett 1982). It approaches (n - 1) cot E,
+    the refraction of a flat atmosphere, at high elevation, and remains finite at the horizon.
 
     Args:
         elevation: geometric elevation, rad, (T,); clamped at -1 degree.

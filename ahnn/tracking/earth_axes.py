@@ -1,4 +1,4 @@
-"""Orientation of the Earth at time zero, for ground stations that turn with constant rate."""
+"""Orientation of the Earth at time zero, for ground stations that rotate at a constant rate."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ log = logging.getLogger("ahnn")
 
 
 def earth_axes(reference: Reference) -> float | list[list[float]]:
-    """Return `earth_angle` of `GroundStation` at the epoch of time zero; 0 without an epoch.
+    """Return the argument `earth_angle` of `GroundStation` at the epoch of time zero; 0 without an epoch.
 
     For EME2000, GCRF and TEME it is the (3, 3) matrix from the frame to the Earth's axes by IAU 2006/2000A
-    (IERS Conventions 2010, 5.4), with UT1 of the package astropy-iers-data if it has the day, else UT1 = UTC.
-    Pole motion (2e-6 rad) is neglected. The celestial pole is kept at its position at time zero, from which
-    it moves by at most 1e-6 rad in a day and 1e-4 rad in a year. For other frames it is the Earth's rotation
-    angle about the z axis, which is right in CIRS, the true equator of date.
+    (IERS Conventions 2010, 5.4), with UT1 from the package astropy-iers-data if it covers the day, else
+    UT1 = UTC. Polar motion (2e-6 rad) is neglected. The celestial pole is kept at its position at time zero,
+    from which it moves by at most 1e-6 rad in a day and 1e-4 rad in a year. For other frames it is the
+    Earth's rotation angle about the z axis, which is exact in CIRS, the true equator of date.
 
     Raises:
         UserError: pyerfa is missing.
@@ -49,7 +49,7 @@ def earth_axes(reference: Reference) -> float | list[list[float]]:
 
 
 def ut1_of(moment: int) -> float:
-    """Return UT1 in seconds since 2000-01-01 of an epoch of UTC in picoseconds."""
+    """Return UT1 in seconds since 2000-01-01 at a UTC epoch in picoseconds."""
     seconds = moment / SECOND
     as_utc = -leaps(int(seconds // DAY))
     try:

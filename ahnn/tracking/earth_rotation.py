@@ -23,9 +23,9 @@ MJD_2000 = 51544
 TT_TO_TAI = -32.184
 ARCSECOND = np.pi / 648000
 NODES = 3600.0
-"""Seconds between epochs of computed precession and nutation, whose shortest terms have periods of days."""
+"""Seconds between nodes of precession and nutation, whose shortest terms have periods of days."""
 MARGIN = 4 * NODES
-"""Margin of these epochs, in seconds."""
+"""Margin of the nodes beyond the time span, in seconds."""
 
 
 class EarthRotation:
@@ -60,7 +60,7 @@ class EarthRotation:
 
     @cached_property
     def _since(self) -> Array:
-        """Midnights of the rows in seconds after the epoch, including leap seconds."""
+        """Times of the rows (at midnight) in seconds after the epoch, including leap seconds."""
         days = np.round(self.rows.mjd).astype(int) - MJD_2000
         seconds = np.array([int(d) * epochs.DAY + epochs.leaps(int(d)) for d in days])
         return seconds - self.epoch / epochs.SECOND

@@ -24,15 +24,15 @@ def chosen_smoothness(
 ) -> Smoothness:
     """Return the smoothness of maximum evidence on a grid.
 
-    For measurements linearised about a point and normal noise, the evidence follows Rasmussen & Williams
-    (2006), 5.8, up to terms independent of the smoothness.
+    For normal noise and measurements linearised about a point, the evidence follows Rasmussen & Williams
+    (2006), 5.8, up to terms that do not depend on the smoothness.
 
     Args:
         unknowns: unknowns with the blocks of learned weights.
         rows: whitened, linearised measurements.
         weights: weights of a robust loss, (M,).
         x: linearisation point, (Q,).
-        before: smoothness returned if there is nothing to learn.
+        before: smoothness that is returned if no acceleration is learned.
     """
     if not unknowns.smooth:
         return before

@@ -1,4 +1,4 @@
-"""Initial orbit from three positions or directions, if no start is given; two bodies, km and s."""
+"""Initial two-body orbit from three positions or directions, if no start is given; km and s."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from ahnn.tracking.tracking_station import EARTH_MU, RADIUS
 
 Array = NDArray[np.float64]
 APART = np.radians(5.0)
-"""Angle between neighbouring positions from which Gibbs' geometry is better than a series in time."""
+"""Angle between neighbouring positions above which Gibbs' method is better than a series in time."""
 ARC, SERIES, SHORT = np.radians(60.0), np.radians(25.0), np.radians(0.2)
 """Angle from the first to the last position or direction: maximum, maximum for Gauss, minimum."""
 NEAR = 1200.0
-"""Seconds within which ranges are interpolated."""
+"""Maximum time in seconds from a direction to the nearest range for interpolation."""
 
 
 def gibbs(positions: Array) -> Array:
@@ -41,11 +41,11 @@ def herrick_gibbs(positions: Array, times: Array) -> Array:
 
 
 def gauss(sites: Array, directions: Array, times: Array) -> list[Array]:
-    """Return states (6,) at the second of three directions, of each solution (Curtis 2014, algorithm 5.5).
+    """Return the state (6,) at the second of three directions for each solution (Curtis 2014, algorithm 5.5).
 
     Args:
         sites: positions of the observers, (3, 3).
-        directions: unit vectors from them to the satellite, (3, 3).
+        directions: unit vectors from the observers to the satellite, (3, 3).
         times: (3,).
     """
     t1, t3 = times[0] - times[1], times[2] - times[1]
@@ -84,7 +84,7 @@ def gauss(sites: Array, directions: Array, times: Array) -> list[Array]:
 
 
 class OrbitOfPositions(NamedTuple):
-    """State (6,) at a time, and the angle of its arc."""
+    """State (6,) at a time, and the angle of the arc of its positions."""
 
     state: Array
     time: float
@@ -92,7 +92,7 @@ class OrbitOfPositions(NamedTuple):
 
 
 def orbit_of_positions(positions: Array, times: Array) -> OrbitOfPositions | None:
-    """Return an orbit through three positions of (T, 3) that span most of an arc; None if there is none."""
+    """Return an orbit through three of the positions (T, 3), chosen by `triple`; None without a choice."""
     if (chosen := triple(positions)) is None:
         return None
     at, three = times[chosen], positions[chosen]
@@ -104,8 +104,8 @@ def orbit_of_positions(positions: Array, times: Array) -> OrbitOfPositions | Non
 def initial_orbit(model: TrackingModel) -> tuple[Array, float]:
     """Return a state (6,) in GCRF and its time, to start a fit of measurements.
 
-    By Gibbs or Herrick and Gibbs for ranges with directions, by Gauss for directions only; the chosen
-    triple of a station spans most of an arc of 60 degrees.
+    Ranges with directions use the method of Gibbs or of Herrick and Gibbs, directions alone that of Gauss.
+    The three measurements of a station span the longest arc up to 60 degrees, or 25 for Gauss.
 
     Raises:
         UserError: no station has measured enough directions.
@@ -154,7 +154,7 @@ def sightings(model: TrackingModel, station: int) -> tuple[Array, Array, Array]:
 
 
 def triple(vectors: Array, most: float = ARC) -> list[int] | None:
-    """Return the indices of three vectors of (T, 3) that span most of an arc; None if all are too close."""
+    """Return the indices of three of the vectors (T, 3) that span the largest angle below `most`, or None."""
     spread = np.unique(np.linspace(0, len(vectors) - 1, min(len(vectors), 40)).astype(int))
     wide = [(angle(vectors[i], vectors[j]), i, j) for i, j in combinations(spread.tolist(), 2) if j > i + 1]
     _, first, last = max((one for one in wide if SHORT < one[0] < most), default=(0.0, 0, 0))

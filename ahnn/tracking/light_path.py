@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 Motion = Callable[[Array], Array]
 """Times (T,) -> positions (T, 3) in GCRF, km."""
 ROUNDS = 4
-"""Number of fixed-point iterations; each reduces the error by the ratio of the two speeds, 1e-5."""
+"""Number of fixed-point iterations; each reduces the error by the ratio of speed to light speed, 1e-5."""
 
 
 class LightPath(NamedTuple):

@@ -1,4 +1,4 @@
-"""Initial belief of a filter: orbit at a time with the other estimated quantities."""
+"""Initial belief of a filter about the orbit at a given time and the other estimated quantities."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 class OrbitBelief(NamedTuple):
-    """A normal belief about position, velocity and the other unknowns that are estimated.
+    """Normal distribution of position, velocity and the other estimated unknowns.
 
     Attributes:
         names: names of the F components.
@@ -53,7 +53,7 @@ def prior_belief(problem: OrbitProblem, covariance: Array) -> OrbitBelief:
     """Return the prior belief of a problem, with the covariance (6, 6) of its start.
 
     Raises:
-        UserError: a parameter or a bias has no prior, so no filter can begin.
+        UserError: a parameter or a bias has no prior, which a filter requires.
     """
     unknowns, free = problem.unknowns, problem.unknowns.free
     learned = np.zeros(len(free), dtype=bool)

@@ -1,9 +1,9 @@
 """Orbit determination: initial state, coefficients, biases and learned accelerations from tracking data.
 
 Gauss-Newton on weighted residuals and priors (Tapley, Schutz & Born, Statistical Orbit Determination, 4.3),
-with steps halved unless the cost decreases. The first fit uses least squares with the given noise; then a
-robust loss, with noise estimated from residuals and the smoothness of learned accelerations by maximum
-evidence.
+with steps halved until the cost decreases. The first steps use least squares with the given noise; later
+steps use a robust loss, noise estimated from residuals, and the smoothness of learned accelerations by
+maximum evidence.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 Array = NDArray[np.float64]
 STEPS, HALVINGS = 25, 8
 NEAR, FINE = 30.0, 0.03
-"""Largest step in standard deviations at which noise and smoothness are re-estimated, and the fit ends."""
+"""Step in standard deviations below which noise and smoothness are re-estimated, and the fit may end."""
 STEADY = 0.03
 """Relative change of the noise between steps below which the fit may end."""
 
@@ -39,9 +39,9 @@ class OrbitProblem:
 
     Attributes:
         forces: forces on the satellite.
-        model: measurement model with these forces.
+        model: measurement model.
         unknowns: estimated quantities.
-        noise: standard deviations by station and kind, (stations, 6), km, rad and km/s; initial values.
+        noise: initial standard deviations by station and kind, (stations, 6), km, rad and km/s.
         used: mask of fitted measurements, (N,) bool.
         at: time of the initial state.
         robust: whether to use Huber's loss.
@@ -85,7 +85,7 @@ class OrbitFit:
     Attributes:
         problem: problem solved.
         point: measurements linearised about the solution.
-        covariance: covariance of the unknowns, (Q, Q); 0 for those not estimated.
+        covariance: covariance of the unknowns, (Q, Q); 0 for unknowns that are not estimated.
         noise: standard deviations by station and kind, (stations, 6).
         smooth: smoothness of learned accelerations.
         steps: number of steps.
@@ -227,7 +227,7 @@ def lower(
     """Return the point after a step, halved until the cost decreases.
 
     Raises:
-        TrainingError: the cost never decreases.
+        TrainingError: no step decreases the cost.
     """
     free, mean = problem.unknowns.free, problem.unknowns.mean
 

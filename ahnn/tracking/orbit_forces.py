@@ -1,4 +1,4 @@
-"""Accelerations of a setup, with priors of their parameters."""
+"""Accelerations of a setup, with priors on their parameters."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class PreparedForces(NamedTuple):
 
 
 def gravity_field(choice: GravityChoice, date: str, *, tides: bool) -> GravityField:
-    """Load the gravity field of a choice, tide-free if tides are a separate term.
+    """Load the gravity field of a choice: tide-free if tides are a separate term, else zero-tide.
 
     Raises:
         UserError: the file is missing, or its degree is too low.
@@ -84,7 +84,7 @@ def prepared_forces(
         rotation: Earth rotation.
         bodies: positions of Sun and Moon.
         first: start time of a learned acceleration, s.
-        last: its end time, s.
+        last: end time of a learned acceleration, s.
 
     Raises:
         UserError: see `gravity_field`.

@@ -40,7 +40,7 @@ TURNING = np.array([kind not in ("range", "range_rate") for kind in KINDS])
 MARGIN = 60.0
 """Margin in seconds of Earth rotation, Sun and Moon beyond the measurements; light time is shorter."""
 SMOOTH = (10.0, 0.3)
-"""Initial smoothness: units of the basis, and a fraction of the time span."""
+"""Initial smoothness: deviation in units of the basis, and length as a fraction of the time span."""
 
 
 class PreparedOrbit(NamedTuple):
@@ -101,7 +101,7 @@ def prepared_orbit(setup: OrbitSetup, folder: Path, data: TrackingData | None = 
 
 
 def start_of(given: StartChoice | None, at: float, model: TrackingModel) -> tuple[Array, float]:
-    """Return the initial state (6,) in GCRF, km and km/s, and its time: a given one, or an initial orbit."""
+    """Return the given initial state, or an initial orbit, as (6,) in GCRF, km and km/s, and its time."""
     data = model.data
     if given is None:
         start, at = initial_orbit(model)
@@ -143,7 +143,7 @@ def start_moment(start: StartChoice) -> int:
 def measured(setup: OrbitSetup, folder: Path) -> TrackingData:
     """Return the measurements of the satellite; raises UserError if the satellite is ambiguous.
 
-    `setup.object` names measurements without a name if no other ones have it.
+    If no measurements have the name `setup.object`, it is given to measurements without a name.
     """
     found = read_tracking(folder / setup.measurements)
     known = [one for one in found if setup.object in (None, one.object)]
@@ -189,7 +189,7 @@ def entries_of(setup: OrbitSetup, folder: Path, data: TrackingData) -> dict[str,
 
 
 def require_event(entry: StationEntry, name: str, data: TrackingData) -> None:
-    """Raise UserError for a station whose times tag another event than the data."""
+    """Raise UserError for a station whose times tag a different event from those of the data."""
     if entry.event not in (None, data.event):
         message = f"stations: {name}.event: expected {data.event}, as measured; received {entry.event}"
         raise UserError(message)
@@ -207,7 +207,7 @@ def stations_of(
 
 
 def by_kind(choice: KindChoice) -> Array:
-    """Return the value of each kind in km, rad and km/s, (6,); NaN for none."""
+    """Return the value of each kind in km, rad and km/s, (6,); NaN if not given."""
     given = [getattr(choice, one.name) for one in sorted(fields(choice), key=lambda f: KINDS.index(f.name))]
     numbers = np.array([np.nan if one is None else one for one in given], dtype=np.float64)
     return np.where(TURNING, np.radians(numbers), numbers)
@@ -247,9 +247,9 @@ def require_light(setup: OrbitSetup, data: TrackingData) -> None:
 
 
 def biases_of(choice: KindChoice, data: TrackingData, entries: dict[str, StationEntry]) -> StationBiases:
-    """Return which stations and kinds have biases, their known values, and standard deviations.
+    """Return the pairs of station and kind that have biases, the known values, and standard deviations.
 
-    A station's own values replace the common values; a known bias without deviation is kept.
+    A station's own values replace the common values; a known bias without deviation is not estimated.
     """
     pairs, means, deviations = list[tuple[int, int]](), list[float](), list[float]()
     for s, name in enumerate(data.stations):

@@ -51,7 +51,7 @@ class GravityChoice:
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceForce:
-    """Options of radiation pressure, which are also options of drag.
+    """Options common to radiation pressure and drag.
 
     Attributes:
         area_to_mass: m^2/kg.
@@ -66,10 +66,10 @@ class SurfaceForce:
 
 @dataclass(frozen=True, kw_only=True)
 class DragChoice(SurfaceForce):
-    """Drag, with the density of the air.
+    """Drag, with a model of air density.
 
     Attributes:
-        atmosphere: exponential layers, or Harris-Priester with the bulge of the day.
+        atmosphere: exponential layers, or Harris-Priester with the diurnal bulge.
         exponent: exponent of Harris-Priester's bulge, from 2 for low inclinations to 6 for polar orbits.
     """
 
@@ -86,7 +86,7 @@ class LearnedChoice:
         axes: inertial, or radial, along-track and cross-track.
         pieces: number of spline pieces.
         degree: degree of the polynomial.
-        unit: unit of its weights, km/s^2.
+        unit: unit of the weights, km/s^2.
     """
 
     kind: Literal["smooth", "polynomial"] = "smooth"
@@ -128,21 +128,21 @@ class OrbitSetup:
 
     Attributes:
         measurements: file in a format of `read_tracking`.
-        object: name of the satellite; may be omitted if the file contains only one, and names it in the
-            output if the file does not.
-        start: where the fit begins; if omitted, an initial orbit from directions, and ranges if available.
-        orientation: bulletins B; without them the days of astropy-iers-data.
-        stations: for each [latitude, longitude, height], degrees and m, or all keys of
+        object: name of the satellite; may be omitted if the file contains only one. If the file has no name,
+            it is the name in the output.
+        start: initial state of the fit; if omitted, computed from directions, and ranges if available.
+        orientation: files of Bulletin B; if omitted, the data of astropy-iers-data.
+        stations: for each station [latitude, longitude, height], degrees and m, or all keys of
             `ahnn.measurements.station_file`; or a file of stations; or
-        sinex: files with their coordinates and eccentricities.
+        sinex: files with coordinates and eccentricities of the stations.
         forces: forces on the satellite.
         corrections: corrections of ranges and angles.
-        noise: standard deviations, for files without them: km, degrees and km/s.
-        noise_estimated: whether to estimate them from the residuals, by kind.
+        noise: standard deviations, km, degrees and km/s; if omitted, the median of those in the file.
+        noise_estimated: whether to estimate the noise from the residuals, by kind.
         biases: prior standard deviation of a bias per station; omitted for no bias.
         loss: squares, or Huber's.
         held_out: final fraction of the measurements excluded from a second fit.
-        compare: reference orbit, CPF.
+        compare: reference orbit, a CPF file.
         step: seconds between output states.
     """
 

@@ -99,7 +99,7 @@ def acceleration_csv(fit: OrbitFit, term: AccelerationOfTime, place: int, times:
 
 
 def orbit_ephemeris(fit: OrbitFit, step: float) -> Ephemeris:
-    """Return the orbit over the measurement span in GCRF with covariances, one state per `step` seconds."""
+    """Return the orbit over the arc in GCRF with covariances; states are at most `step` seconds apart."""
     arc, data, unknowns = fit.point.arc, fit.problem.model.data, fit.problem.unknowns
     count = int(np.ceil((arc.last - arc.first) / step)) + 1
     times = np.linspace(arc.first, arc.last, max(2, count))

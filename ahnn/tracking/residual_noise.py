@@ -32,9 +32,9 @@ def noise_deviations_of(
 ) -> Array:
     """Estimate the noise by station and kind, (stations, 6), consistent with the residuals.
 
-    For each group the sum of psi(e)^2 equals its mean for normal e times the redundancy, i.e. the number of
-    measurements minus those spent on the unknowns (Huber 1981, proposal 2; Förstner 1979 for the redundancy
-    of a group).
+    A common factor on the noise of each kind makes the sum of psi(e)^2 equal to its mean for normal e times
+    the redundancy, i.e. the number of measurements minus those that determine the unknowns (Huber 1981,
+    proposal 2; Förstner 1979 for the redundancy of a group).
 
     Args:
         rows: fitted measurements.

@@ -23,7 +23,7 @@ SHOWN: dict[str, tuple[str, float]] = {
 CERTAIN, WIDE, ALIKE = 3.0, 2.0, 0.7
 """Thresholds: standard errors of a finding, scatter relative to the noise, correlation of neighbours."""
 OPPOSITE = 0.5
-"""Tolerance, relative to a given bias, of a bias of opposite sign; the orbit absorbs part of it."""
+"""Relative tolerance within which a bias is the negative of the given one; the orbit absorbs part of it."""
 FEWEST = 5
 
 
@@ -35,8 +35,8 @@ class ResidualRow(NamedTuple):
         number: number of measurements.
         mean, sd: moments of the residuals.
         trend: trend per second, with its standard error.
-        correlation: correlation of neighbours.
-        noise: noise in the fit.
+        correlation: correlation of successive residuals.
+        noise: standard deviation of the noise in the fit.
         bias: estimated bias and its standard deviation; NaN if not estimated.
         given: bias known before the fit.
     """
@@ -74,7 +74,7 @@ def residual_rows(fit: OrbitFit, used: NDArray[np.bool_]) -> list[ResidualRow]:
 
 
 def correlation_of(e: Array) -> float:
-    """Return the correlation of neighbouring residuals; 0 for fewer than five, or equal ones."""
+    """Return the correlation of neighbouring residuals; 0 for fewer than five, or if all are equal."""
     e = e - e.mean()
     return float((e[1:] @ e[:-1]) / (e @ e)) if len(e) >= FEWEST and e @ e > 0 else 0.0
 
@@ -85,7 +85,7 @@ def effective(count: int, correlation: float) -> float:
 
 
 def trend_of(t: Array, e: Array) -> tuple[float, float]:
-    """Return the slope of residuals (T,) in time and its standard error; 0 and infinity for too few."""
+    """Return the slope of residuals (T,) in time and its standard error; 0 and infinity if undetermined."""
     if len(e) < FEWEST or t.std() == 0:
         return 0.0, np.inf
     slope = float(((t - t.mean()) @ e) / ((t - t.mean()) @ (t - t.mean())))
@@ -143,7 +143,7 @@ def pooled(fit: OrbitFit, used: NDArray[np.bool_]) -> dict[str, tuple[int, float
 
 
 def coverage(fit: OrbitFit, unseen: NDArray[np.bool_]) -> dict[str, tuple[int, float, float]]:
-    """Return count, fraction within 2 sd and root mean square of unseen measurements by kind, and all."""
+    """Return count, fraction within 2 sd and root mean square of unseen measurements, by kind and for all."""
     e, sd = fit.point.residuals[unseen], fit.predicted_deviations[unseen]
     inside = np.abs(e) <= 2 * sd
     found = {}

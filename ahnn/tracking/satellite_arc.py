@@ -35,12 +35,12 @@ class Forces:
         return tuple(name for term in self.terms for name in term.parameters)
 
     def acceleration(self, t: float, state: Array, p: Array) -> tuple[Array, Array, Array]:
-        """Return accelerations (..., 3), their derivatives by states (..., 3, 6), by parameters (..., 3, P).
+        """Return accelerations (..., 3), and derivatives by states (..., 3, 6) and parameters (..., 3, P).
 
         Args:
             t: seconds after the epoch.
             state: (..., 6).
-            p: parameters, (P,), or (..., P) of each state.
+            p: parameters, (P,) for all states or (..., P) for each state.
         """
         lead, at = state.shape[:-1], 0
         value, by_state = np.zeros((*lead, 3)), np.zeros((*lead, 3, 6))
@@ -78,7 +78,7 @@ class SatelliteArc:
         return self._all(times)[:, 0]
 
     def sensitivities(self, times: Array) -> Array:
-        """Return the derivatives in [start, parameters], (T, 6, 6 + P), at times (T,)."""
+        """Return the derivatives by initial state and parameters, (T, 6, 6 + P), at times (T,)."""
         return self._all(times)[:, 1:].transpose(0, 2, 1)
 
     def _all(self, times: Array) -> Array:
@@ -113,7 +113,7 @@ def satellite_arc(
         start: initial state (6,) in GCRF, km and km/s.
         p: parameters of the forces, (P,).
         at: time of the initial state.
-        first: begin of the arc, at or before the start.
+        first: beginning of the arc, at or before the start.
         last: end of the arc, at or after the start.
 
     Raises:
@@ -131,7 +131,7 @@ def satellite_arc(
     begin = np.concatenate((start[None], np.eye(6), np.zeros((len(p), 6)))).ravel()
     floor = np.full(len(begin), np.inf)
     floor[:6] = FLOOR
-    # The solver uses the root mean square over all numbers, of which only six are controlled.
+    # The solver takes the root mean square over all variables, of which only six control the step.
     floor[:6] /= np.sqrt(1 + columns)
     precision = PRECISION
 

@@ -1,7 +1,7 @@
 """Flow of a satellite under known forces, usable like a learned flow in filters and forecasts.
 
-States are [position, velocity, parameters of the forces, constants], shape (B, D), km and km/s in GCRF;
-other estimated quantities follow the orbit and are constant. Time counts from the epoch of the forces.
+States are [position, velocity, parameters of the forces, constants], shape (B, D), km and km/s in GCRF; the
+constants are other estimated quantities. Time is counted from the epoch of the forces.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ SIZE = 6
 
 
 class SatelliteFlow:
-    """The flow of forces; it depends on time.
+    """Time-dependent flow under given forces.
 
     Args:
         forces: forces on the satellite.
-        known: values of all their parameters, (P,).
-        free: mask of the parameters in the state, (P,) bool; all other parameters keep their value.
+        known: values of all force parameters, (P,).
+        free: mask of the parameters in the state, (P,) bool; all other parameters keep their known value.
     """
 
     clock = 1
@@ -38,36 +38,36 @@ class SatelliteFlow:
         self.forces, self.known, self.free = forces, known, free
 
     def at(self, time: float | Tensor) -> SatelliteStep:
-        """Return the flow from an instant."""
+        """Return the flow from a given time."""
         return SatelliteStep(self, float(time))
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
-        """Return the states after dt from time zero."""
+        """Return the states at time dt, from states x at time zero."""
         return self.at(0.0)(x, dt)
 
     def parameters(self, x: Array) -> Array:
-        """Return all parameters of states (..., D), shape (..., P)."""
+        """Return all force parameters for states (..., D), shape (..., P)."""
         p = np.broadcast_to(self.known, (*x.shape[:-1], len(self.known))).copy()
         p[..., self.free] = x[..., SIZE : SIZE + int(self.free.sum())]
         return p
 
 
 class SatelliteStep(NamedTuple):
-    """The flow of forces from an instant.
+    """Flow under given forces from a given time.
 
     Attributes:
-        flow: flow of the forces.
-        time: time of the instant, seconds after the epoch.
+        flow: flow at any time.
+        time: start time, seconds after the epoch.
     """
 
     flow: SatelliteFlow
     time: float
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
-        """Return the states (B, D) after dt, all of them by the same steps (see `satellite_arc`).
+        """Return the states (B, D) after dt, with the same integration steps for all (see `satellite_arc`).
 
         Raises:
-            TrainingError: a state cannot be propagated, for example of a satellite that falls into the Earth.
+            TrainingError: the integration fails, for example for a satellite that falls into the Earth.
         """
         before, length = x.detach().numpy(), float(dt)
         forces, p, shape = self.flow.forces, self.flow.parameters(before), (len(before), SIZE)

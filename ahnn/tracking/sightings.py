@@ -1,7 +1,7 @@
-"""Source for training on station measurements: ranges, angles and range rates of satellites in files.
+"""Data source for training on station measurements: files of ranges, angles and range rates of satellites.
 
-States are in the true equator of date, about whose pole the Earth turns (CIRS): precession, nutation, polar
-motion and refraction are not modelled, as in `ahnn.measurements.GroundStation`.
+States refer to the true equator of date (CIRS), about whose pole the Earth rotates: precession, nutation,
+polar motion and refraction are not modelled, as in `ahnn.measurements.GroundStation`.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Sightings:
         gap: multiple of the median step that counts as a gap, for times not on a grid.
 
     Attributes:
-        measurement: the stations named in the files, side by side.
+        measurement: measurement model of the stations named in the files, side by side.
 
     Raises:
         UserError: a file that cannot be read, an unknown station, or no measurement with a stated noise.
@@ -88,7 +88,7 @@ class Sightings:
         log.info("%s: %s", name, self._described())
 
     def recipe(self) -> dict[str, Any]:
-        """Return the hash of the files, and how they are cut."""
+        """Return the hash of the files, and the cut."""
         return {"files": self._sha256, "cut": self.cut, "gap": self.gap}
 
     def steps(self) -> int:
@@ -100,7 +100,7 @@ class Sightings:
         return self._trajectories
 
     def sensors(self) -> StationsOfFile:
-        """Return the stations side by side."""
+        """Return the measurement model of the stations, side by side."""
         return self.measurement
 
     def observations(self) -> Observations:

@@ -1,7 +1,7 @@
-"""Station as a measurement model of filters: predicted measurements of a state at a reading's time.
+"""Measurement model of a station for filters: predicted measurements from the state at a reading's time.
 
-Light reaches the satellite up to a second before or after the time tag of a reading. Over that
-time the state moves by the Earth's point-mass attraction, to second order: to a few micrometres, and to
+Light reaches the satellite up to a second before or after the time tag of a reading. Over that time the state
+is propagated under the Earth's point-mass attraction, to second order; errors are a few micrometres, and
 0.1 mm/s in range rates.
 """
 
@@ -47,11 +47,11 @@ class StationMeasurement(Differing):
     """Measurements of states [position, velocity, ...], shape (..., D), by one station.
 
     Args:
-        model: model of all measurements; the nearest weather and wavelength at the station are used.
+        model: model of all measurements; it supplies the station's weather and wavelength nearest in time.
         station: index of the station in the model.
         kinds: measured kinds.
-        biases: for each measurement, the state component that is added to it; None without bias.
-        known: known bias of each measurement.
+        biases: for each kind, the index of the state component that is its bias; None without bias.
+        known: known bias of each kind.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class StationMeasurement(Differing):
 
     @property
     def about(self) -> dict[str, Any]:
-        """Plain values that identify a station, besides forces and corrections."""
+        """Plain values that identify the station; forces and corrections are not included."""
         place = [float(one) for one in self.station.position]
         return {
             "station": self.station.name,
@@ -89,7 +89,7 @@ class StationMeasurement(Differing):
         return torch.from_numpy(values).reshape(*x.shape[:-1], len(self.names))
 
     def slope(self, x: Tensor, t: Time) -> Tensor:
-        """Return the measurements' derivatives (B, M, D) with respect to states x (B, D) at time t."""
+        """Return derivatives of the measurements, (B, M, D), with respect to states x (B, D) at time t."""
         states = x.detach().numpy()
         found = self._predicted(states, float(t))
         by = found.by_state[:, self._kinds]

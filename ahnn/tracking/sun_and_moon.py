@@ -15,9 +15,9 @@ Array = NDArray[np.float64]
 SUN_MU, MOON_MU = 132712440040.944, 4902.800076
 """Gravitational parameters in km^3/s^2 (DE421)."""
 MOON_FRACTION = 1 / (1 + 81.3005690699153)
-"""Fraction of the Moon in the mass of Earth and Moon (DE421)."""
+"""Mass of the Moon as a fraction of the mass of Earth and Moon (DE421)."""
 NODES, MARGIN = 3600.0, 4 * 3600.0
-"""Seconds between the nodes of a spline of positions, and its margin."""
+"""Seconds between the nodes of a position spline, and margin of the nodes."""
 
 
 class SunAndMoon(NamedTuple):
@@ -37,7 +37,7 @@ def sun_and_moon(epoch: int, first: float, last: float) -> SunAndMoon:
 
     Args:
         epoch: epoch of time zero, picoseconds of UTC as in `TrackingData`.
-        first: begin of the span, seconds after the epoch.
+        first: beginning of the span, seconds after the epoch.
         last: end of the span, seconds after the epoch.
 
     Raises:

@@ -15,15 +15,15 @@ PASS = 10.0
 LONGEST = 1200.0
 """Step in seconds that always separates two passes."""
 FASTEST = 12.0
-"""Velocity in km/s that no Earth satellite reaches."""
+"""Speed in km/s that no Earth satellite reaches."""
 STANDS_OUT = 15.0
-"""Outlier criterion: ratio of the distance from the neighbours to the median one of the pass."""
+"""Outlier criterion: ratio of a value's distance from its neighbours to the median distance of the pass."""
 CLEARLY = 3.0
-"""Outlier criterion: ratio of the distance from the neighbours to their own disagreement."""
+"""Outlier criterion: ratio of the distance from the neighbours to the disagreement among these."""
 FEWEST = 7
 """Minimum number of measurements in a pass for outlier detection."""
 MOST = 0.2
-"""Fraction of a pass above which deviations are noise instead of outliers."""
+"""Fraction of outliers in a pass above which they are regarded as noise."""
 UNWRAPPED = ("azimuth", "right_ascension")
 
 
@@ -80,16 +80,16 @@ def of_series(
 
 
 def standing_out(times: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the indices of outliers in one pass, found successively.
+    """Return the indices of outliers in one pass, found one after another.
 
     Values are compared with polynomials through six and through four neighbours. If these differ, the
-    measurements are too sparse for a decision. The largest outlier is removed before the next is sought,
-    since it also affects its neighbours.
+    measurements are too sparse for a decision. The largest outlier is removed before the search for the next
+    one, since it also affects its neighbours.
     """
     kept, found = np.arange(len(times)), list[int]()
     while len(kept) >= FEWEST:
         errors, doubts = from_neighbours(times[kept], values[kept])
-        around = np.max([doubts[:-2], doubts[1:-1], doubts[2:]], axis=0)  # one may be 0 by chance
+        around = np.max([doubts[:-2], doubts[1:-1], doubts[2:]], axis=0)  # a single one may be 0 by chance
         judged = np.where(errors[1:-1] > CLEARLY * around, errors[1:-1], 0.0)
         worst = int(np.argmax(judged)) + 1
         if judged[worst - 1] <= STANDS_OUT * float(np.median(errors)):
@@ -102,9 +102,9 @@ def standing_out(times: NDArray[np.float64], values: NDArray[np.float64]) -> NDA
 def from_neighbours(
     times: NDArray[np.float64], values: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return distances of values from polynomials through six neighbours, and between six and four.
+    """Return distances of values from six-neighbour polynomials, and of these from four-neighbour ones.
 
-    Both (n,), normalised such that unit noise of the values gives unit noise of the first distance.
+    Both are (n,), normalised such that unit noise of the values gives unit noise of the first distance.
 
     Args:
         times: (n,) non-decreasing times, n at least 7; results are zero for equal times and at both ends.

@@ -1,8 +1,9 @@
-"""Search for the mistake that explains residuals that are not noise: undoing it gives a fit.
+"""Search for a mistake in the data that explains residuals larger than noise: the corrected data fit.
 
-Wrong station positions and units of angles are corrected and fitted again. A rotation of the Earth, for
-example from UTC given as UT1, is a further unknown of the linearised measurements (a score test: Rao 1948);
-ranges, rates, azimuths and elevations rotate with the stations and do not show it, but right ascensions do.
+Station positions and units of angles are corrected, and the orbit is fitted again. A rotation of the Earth,
+for example from UTC given as UT1, is a further unknown of the linearised measurements (a score test: Rao
+1948); ranges, rates, azimuths and elevations rotate with the stations and do not reveal it, but right
+ascensions do.
 """
 
 from __future__ import annotations
@@ -26,15 +27,15 @@ Array = NDArray[np.float64]
 WIDE = 3.0
 """Root mean square of residuals in standard deviations above which mistakes are sought."""
 EXPLAINED = 0.2
-"""Maximum fraction of it that remains if a mistake is found."""
+"""Maximum fraction of the root mean square that remains once a mistake is corrected."""
 MOST = 4
-"""Maximum number of mistakes that are undone and fitted."""
+"""Maximum number of possible mistakes whose corrections are fitted."""
 CERTAIN = 5.0
 """Minimum reported rotation of the Earth, in standard deviations."""
 RATE = 7.292115e-5
 """Rotation rate of the Earth, rad/s."""
 LARGEST = 1.0
-"""Maximum of UT1 - UTC in s; a larger difference is another mistake."""
+"""Maximum of UT1 - UTC in s; a larger difference has another cause."""
 TURN = 0.1
 """Rotation of the Earth in s for difference quotients."""
 SAME = 1e-3
@@ -46,7 +47,7 @@ class Turned(NamedTuple):
     """Earth rotation with an additional angle.
 
     Attributes:
-        rotation: rotation to turn.
+        rotation: original Earth rotation.
         seconds: change of UT1 in s.
     """
 
@@ -63,11 +64,11 @@ class Turned(NamedTuple):
 def suspected_mistakes(
     problem: OrbitProblem, point: LinearisedOrbit | None, rotation: EarthRotation
 ) -> list[str]:
-    """Return sentences on suspected mistakes; none if residuals are noise.
+    """Return sentences on suspected mistakes; none if the residuals are noise.
 
     Args:
         problem: fitted problem.
-        point: its solution, or None.
+        point: solution of the problem, or None.
         rotation: rotation of the Earth in the problem.
     """
     found = [] if point is None else turn_of(problem, point, rotation)
@@ -85,14 +86,14 @@ def suspected_mistakes(
 
 
 def size_of(problem: OrbitProblem, point: LinearisedOrbit) -> float:
-    """Return the root mean square of fitted residuals in standard deviations as they were given."""
+    """Return the root mean square of fitted residuals in units of the given standard deviations."""
     return float(np.sqrt(np.mean(rows_of(problem, point, problem.noise).e ** 2)))
 
 
 def nearest_first(problem: OrbitProblem) -> list[tuple[str, OrbitProblem]]:
     """Return the mistakes whose correction brings measurements closest to the initial orbit, best first.
 
-    Other cases are not fitted, since their paths diverge.
+    Other corrections are not fitted, since their paths diverge.
     """
 
     def distance(other: OrbitProblem) -> float:
@@ -106,7 +107,7 @@ def nearest_first(problem: OrbitProblem) -> list[tuple[str, OrbitProblem]]:
 
 
 def held_against(problem: OrbitProblem, point: LinearisedOrbit) -> LinearisedOrbit:
-    """Return a point with the residuals of other measurements or stations on the same path."""
+    """Return a point on the same path, with the residuals for the measurements and stations of a problem."""
     residuals = problem.model.data.values - problem.model(point.arc).values
     residuals[:, ANGLES] = (residuals[:, ANGLES] + np.pi) % (2 * np.pi) - np.pi
     return point._replace(residuals=residuals)
@@ -170,12 +171,12 @@ def turn_of(problem: OrbitProblem, point: LinearisedOrbit, rotation: EarthRotati
 def orientation_mistake(
     used: EarthOrientation, known: EarthOrientation, rotation: EarthRotation
 ) -> list[str]:
-    """Return a sentence if UT1 - UTC differs from the IERS value, which most residuals do not show.
+    """Return a sentence if UT1 - UTC differs from the IERS value; most residuals do not reveal it.
 
     Args:
-        used: orientation of the Earth as given.
-        known: orientation of the Earth by the IERS.
-        rotation: rotation of the measurements.
+        used: orientation of the Earth given by the user.
+        known: orientation of the Earth from the IERS.
+        rotation: Earth rotation over the time span of the measurements.
     """
     day = rotation.day(0.5 * (rotation.first + rotation.last))
     if not known.mjd[0] <= day <= known.mjd[-1]:

@@ -13,7 +13,7 @@ from ahnn.errors import UserError
 from ahnn.measurements.ground_station import Event
 
 Kind = Literal["range", "azimuth", "elevation", "range_rate", "right_ascension", "declination"]
-"""Kinds of measurements: km, rad or km/s; a range is half the two-way light time, times c."""
+"""Kinds of measurements: km, rad or km/s; a range is c times half the two-way light time."""
 KINDS: tuple[Kind, ...] = ("range", "azimuth", "elevation", "range_rate", "right_ascension", "declination")
 UNITS = dict.fromkeys(KINDS, "rad") | {"range": "km", "range_rate": "km/s"}
 
@@ -33,7 +33,7 @@ class TrackingData:
         event: event tagged by the times.
         weather: (N, 3) pressure in hPa, temperature in K and relative humidity from 0 to 1 at the station;
             NaN where unknown.
-        wavelength: (N,) of laser light in micrometres; NaN for radio.
+        wavelength: (N,) wavelength of laser light in micrometres; NaN for radio.
         deviations: (N, 6) standard deviations from the file, or NaN.
         remarks: remarks on unused content of the file.
     """
@@ -57,13 +57,13 @@ class TrackingData:
 
 
 def joined(one: TrackingData, other: TrackingData) -> tuple[TrackingData, NDArray[np.bool_]]:
-    """Return two sets of measurements of one satellite as one, with the epoch of the first.
+    """Merge two sets of measurements of one satellite; time zero is that of the first set.
 
     Returns:
-        The measurements, and the mask of the first set, (N,).
+        The measurements, and the mask of those from the first set, (N,).
 
     Raises:
-        UserError: their times tag different events.
+        UserError: the times of the two sets tag different events.
     """
     if one.event != other.event:
         message = f"measurements: expected times of {one.event}, as before; received times of {other.event}"

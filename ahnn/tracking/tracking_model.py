@@ -1,4 +1,4 @@
-"""Measurement model of tracking: ranges and angles with derivatives in the satellite's state."""
+"""Measurement model of tracking: ranges, range rates and angles, with derivatives by satellite state."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class Corrections:
         refraction: refraction in elevation: none, from weather data, or by ITU-R P.834.
         solid_tides: whether solid Earth tides displace the stations.
         shapiro: whether to apply the relativistic delay of the Earth's field.
-        centre_of_mass: distance in km from the reflector to the centre of mass, along the line of sight, by
-            which measured ranges are shorter.
+        centre_of_mass: distance in km, along the line of sight, from the reflector to the centre of mass;
+            measured ranges are shorter by this distance.
     """
 
     troposphere: Literal["none", "radio", "laser"] = "none"
@@ -48,10 +48,10 @@ class Corrections:
 
 
 class Path(Protocol):
-    """Position of a satellite, for the measurement model."""
+    """Path of a satellite, for the measurement model."""
 
     def states(self, times: Array) -> Array:
-        """Return its states (T, 6) in GCRF, km and km/s, at times (T,)."""
+        """Return the states (T, 6) in GCRF, km and km/s, at times (T,)."""
         ...
 
 
@@ -94,7 +94,7 @@ class TrackingModel:
         self._rotation, self._bodies = rotation, bodies
 
     def of(self, stations: tuple[TrackingStation, ...], data: TrackingData) -> TrackingModel:
-        """Return the model of other measurements."""
+        """Return the model of other stations and measurements."""
         return TrackingModel(data, stations, self.corrections, self._rotation, self._bodies)
 
     def on(self, rotation: EarthRotation) -> TrackingModel:
@@ -111,7 +111,7 @@ class TrackingModel:
         return np.einsum("tji,tj->ti", turns, place)
 
     def axes(self, station: TrackingStation, times: Array) -> Array:
-        """Return a station's unit vectors to the east, the north and up in GCRF as rows, (T, 3, 3)."""
+        """Return the east, north and up unit vectors of a station in GCRF as rows, (T, 3, 3)."""
         return np.einsum("ij,tjk->tik", station.axes, self._rotation.matrices(times))
 
     def __call__(self, arc: Path) -> PredictedTracking:
@@ -163,7 +163,7 @@ class TrackingModel:
         return delay + shapiro(path) if chosen.shapiro else delay
 
     def _range_rate(self, arc: Path, station: TrackingStation, path: LightPath) -> tuple[Array, Array]:
-        """Return the range rate at reception, (T,) km/s, and its derivatives in the state, (T, 6)."""
+        """Return the range rate at reception, (T,) km/s, and its derivatives by the state, (T, 6)."""
         drift = (self.site(station, path.receive + 0.5) - self.site(station, path.receive - 0.5)) / 1.0
         relative = arc.states(path.bounce)[:, 3:] - drift
         distance = np.linalg.norm(path.down, axis=1, keepdims=True)
@@ -173,21 +173,21 @@ class TrackingModel:
 
 
 def half_round_trip(path: LightPath) -> tuple[Array, Array]:
-    """Return half of the two-way path, (T,), and its derivatives in the satellite's position, (T, 3).
+    """Return half of the two-way path, (T,), and its derivatives by the satellite's position, (T, 3).
 
-    The derivatives neglect the change of the bounce time with position, a relative 1e-5.
+    The derivatives neglect the change of the bounce time with position, a relative error of 1e-5.
     """
     up, down = (np.linalg.norm(one, axis=1) for one in (path.up, path.down))
     return 0.5 * (up + down), 0.5 * (path.up / up[:, None] + path.down / down[:, None])
 
 
 def directions(line: Array, *, azimuth: bool) -> tuple[Array, Array]:
-    """Return two angles of lines (T, 3) in east, north, up axes, and their derivatives (T, 2, 3).
+    """Return two angles of lines (T, 3), and their derivatives (T, 2, 3).
 
     Args:
-        line: vector from the station to the satellite.
-        azimuth: whether the angle runs from the second axis to the first, from 0 to 2 pi; else from the first
-            to the second, as right ascension.
+        line: vector from the station to the satellite, in east, north, up or inertial axes.
+        azimuth: whether the first angle, from 0 to 2 pi, runs from the second axis to the first, as azimuth;
+            else from the first axis to the second, as right ascension.
     """
     x, y, z = line.T
     level = x**2 + y**2
@@ -200,10 +200,10 @@ def directions(line: Array, *, azimuth: bool) -> tuple[Array, Array]:
 
 
 def shapiro(path: LightPath) -> Array:
-    """Return the relativistic delay of light in the Earth's field in km of half the two-way path, (T,).
+    """Return the relativistic delay of light in the Earth's field, in km for half the two-way path, (T,).
 
-    2 mu / c^2 ln((a + b + d) / (a + b - d)) one way, with a and b the geocentric distances of its ends and d
-    their separation (IERS Conventions 2010, 11.17).
+    One way it is 2 mu / c^2 ln((a + b + d) / (a + b - d)), where a and b are the geocentric distances of the
+    ends, and d is their separation (IERS Conventions 2010, 11.17).
     """
     a, distance = np.linalg.norm(path.site, axis=1), np.linalg.norm(path.down, axis=1)
     both = a + np.linalg.norm(path.site + path.down, axis=1)

@@ -59,7 +59,7 @@ def cartesian_station(name: str, position: Array) -> TrackingStation:
 
 
 def tidal_displacement(position: Array, body: Array, mu: float) -> Array:
-    """Return the tidal displacement of a station by a body, in km in ITRF, (T, 3).
+    """Return the tidal displacement of a station caused by a body, (T, 3) km in ITRF.
 
     Degrees 2 and 3, in phase (IERS Conventions 2010, 7.5 and 7.6); neglected terms, mainly the K1 resonance,
     are at most 13 mm. The permanent part is included: coordinates are tide-free.

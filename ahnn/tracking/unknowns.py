@@ -41,11 +41,11 @@ class SmoothBlock(NamedTuple):
 
     @property
     def places(self) -> slice:
-        """Indices of its weights."""
+        """Indices of the weights."""
         return slice(self.first, self.first + 3 * self.basis.size)
 
     def precision(self, smooth: Smoothness) -> Array:
-        """Return the inverse of the prior covariance of its weights, (3 K, 3 K).
+        """Return the inverse of the prior covariance of the weights, (3 K, 3 K).
 
         The prior is a Gaussian process with the Matern covariance of order 5/2 (Rasmussen & Williams 2006,
         4.17) at the centres of the splines, equal and independent for each axis.
@@ -58,11 +58,11 @@ class SmoothBlock(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Vector [start, force parameters, biases] with priors and estimated subset.
+    """Vector of initial state, force parameters and biases, with priors.
 
     Attributes:
-        names: names of all, (Q,).
-        mean: prior mean, (Q,); fixed value of those not estimated.
+        names: names of all unknowns, (Q,).
+        mean: prior mean, (Q,); fixed value of unknowns that are not estimated.
         deviations: prior standard deviations, (Q,): 0 fixes the value, infinity means no prior.
         forces: number of force parameters.
         bias: (station, kind) indices of each bias in the data.
@@ -82,7 +82,7 @@ class Unknowns:
         return self.deviations > 0
 
     def precision(self, smooth: Smoothness | None) -> Array:
-        """Return the inverse of the prior covariance of all, (Q, Q); 0 without prior knowledge."""
+        """Return the inverse of the prior covariance of all unknowns, (Q, Q); 0 without a prior."""
         with np.errstate(divide="ignore"):
             matrix = np.diag(np.where(self.free, self.deviations, np.inf) ** -2.0)
         if smooth is not None:

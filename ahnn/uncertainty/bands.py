@@ -17,15 +17,15 @@ from ahnn.shooting.path_sensitivities import Steps, in_quarters, path, sensitivi
 from ahnn.shooting.quadrature import coarse
 
 CELLS = 4e7
-"""Size limit of the largest sensitivity tensor; longer batches are divided into parts."""
+"""Size limit of the largest sensitivity tensor; larger batches are divided into parts."""
 
 
 @torch.no_grad()
 def rollout_covariances(dynamics: Dynamics, start: Tensor, lengths: Tensor, factor: Tensor) -> Tensor:
     """Return the covariances (B, N + 1, D, D) of rollouts from exact starts.
 
-    With x_k the state after k steps, C_k = (dx_k/dtheta) L L^T (dx_k/dtheta)^T: valid to first order, so that
-    a band as wide as the motion itself only means that the state is unknown.
+    With x_k the state after k steps, C_k = (dx_k/dtheta) L L^T (dx_k/dtheta)^T. This is valid to first order:
+    a band as wide as the motion itself only indicates that the state is unknown.
 
     Args:
         dynamics: float64 dynamics with a field and parameters theta.
@@ -68,7 +68,7 @@ def path_sensitivities(
     Args:
         dynamics: float64 dynamics with a field and parameters theta.
         states: states of the paths, (B, N + 1, D).
-        jacobians: Jacobians of their steps, (B, N, D, D), in the requested precision.
+        jacobians: Jacobians of the steps, (B, N, D, D); they determine the precision of the result.
         steps: steps between the times.
         factor: L, shape (P, R).
     """
@@ -87,8 +87,8 @@ def sampled_rollouts(
 ) -> Tensor:
     """Return rollouts (count, B, N + 1, D) of dynamics whose parameters are drawn from N(theta, L L^T).
 
-    Increments are linearised in the draw, rollouts are not. A network is nonlinear over the widths of
-    undetermined parameters, for which direct draws are meaningless (Immer, Korzepa & Bauer 2021, AISTATS).
+    Increments are linearised in the draw; rollouts are not. Over the wide range of undetermined parameters a
+    network is nonlinear, and direct draws are meaningless (Immer, Korzepa & Bauer 2021, AISTATS).
 
     Args:
         dynamics: float64 dynamics with parameters theta.
@@ -96,7 +96,7 @@ def sampled_rollouts(
         lengths: step lengths, (B, N).
         factor: L, shape (P, R).
         count: number of draws.
-        seed: seed of the draws.
+        seed: random seed.
     """
     theta = parameters_to_vector(dynamics.parameters()).detach()
     generator = torch.Generator().manual_seed(seed)

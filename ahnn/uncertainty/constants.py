@@ -31,7 +31,7 @@ class Constant(NamedTuple):
         return [self.value, None if math.isnan(self.deviation) else self.deviation]
 
     def __str__(self) -> str:
-        """Return name, value and deviation, rounded by the deviation."""
+        """Return name, value and deviation, rounded according to the deviation."""
         if not self.deviation > 0:
             return f"{self.name} {self.value:.6g}"
         digits = math.floor(math.log10(abs(self.value) / self.deviation)) + 2 if self.value else 2
@@ -41,8 +41,8 @@ class Constant(NamedTuple):
 def learned_constants(dynamics: Dynamics, spread: Tensor | None) -> list[Constant]:
     """Return the learned constants of dynamics, in the order of their parts.
 
-    A part provides constants by a method `constants`, a mapping from names to tensors. Elements of a tensor
-    are numbered from 1.
+    The method `constants` of a part returns a mapping from names to tensors. Elements of a tensor are
+    numbered from 1.
 
     Args:
         dynamics: float64 dynamics.

@@ -2,9 +2,9 @@
 
 Omitted directions make a filter overconfident. A consider filter (Schmidt; Bierman 1977, Factorization
 Methods for Discrete Sequential Estimation, chapter 8) does not estimate parameters with errors L eta,
-eta ~ N(0, I), but accounts for them in its covariance P. Its error is S eta plus the error due to the initial
-state and the noise. S is propagated by the flow, the gain K follows from P = P' + S S^T, and an update
-replaces S by (I - K H) S. The mean of e^T P^-1 e is D, to which each column of S contributes its squared
+eta ~ N(0, I), but accounts for them in its covariance P. Its error e is S eta plus an error of covariance P'
+due to the initial state and the noise. S is propagated by the flow, the gain K follows from P = P' + S S^T,
+and an update replaces S by (I - K H) S. The mean of e^T P^-1 e is D; each column of S contributes its squared
 length in units of P. Directions are ranked by these contributions, i.e. by how little the measurements
 determine them, and not by their effect on pure predictions.
 """
@@ -34,7 +34,7 @@ MOST = 50
 SAMPLES = 100
 """Approximate number of times per path for the ranking."""
 LEAST = 1e-9
-"""Jitter of correlation matrices, which rounding may make singular."""
+"""Jitter added to correlation matrices, which rounding may make singular."""
 
 
 class Watched(NamedTuple):
@@ -42,7 +42,7 @@ class Watched(NamedTuple):
 
     Attributes:
         start: initial states, (B, D).
-        start_sd: (D,) their standard deviations.
+        start_sd: (D,) standard deviations of the initial states.
         segment: times, pattern of measured values (NaN if not measured), and sensor; values are ignored.
     """
 
@@ -130,7 +130,7 @@ class _Arc(NamedTuple):
     driven: Callable[[slice], Tensor]
 
     def moved(self, begin: int, end: int, moved: Tensor, own: Tensor) -> tuple[Tensor, Tensor]:
-        """Return S and P' at state `end`, from those at state `begin`."""
+        """Return S and P' at the state with index `end`, from those at index `begin`."""
         if begin == end:
             return moved, own
         span = Steps(self.steps.lengths[:, begin:end], torch.tensor([end - begin]))
@@ -143,7 +143,7 @@ class _Arc(NamedTuple):
 def _whitened_rows(arc: _Arc, segment: Segment, start_sd: Tensor, columns: int) -> Iterator[Tensor]:
     """Yield P^-1/2 S of all paths, (B, D, R), at some times; squared columns are NEES contributions.
 
-    It is 0 after the last measurement of a path, where the filter has ended.
+    It is 0 after the last measurement of a path, where the filter ends.
     """
     batch, samples = segment.times.shape
     apart = max(1, (samples - 1) // SAMPLES)

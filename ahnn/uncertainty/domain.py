@@ -1,9 +1,9 @@
 """Training domain of learned dynamics, and novelty of states.
 
-A network is unreliable for states far from its training data, without indication. Representative training
-states are therefore saved, spread evenly in the networks' input space; the novelty of a state is the distance
-to the nearest one. The unit is the distance exceeded by one training state in a hundred, or slightly more for
-dense data: up to 1 a state is within the training domain. Exactly known terms, such as p^2 / 2m, have no
+Far from its training data, a network is unreliable without any indication. Representative training states are
+therefore saved, spread evenly in the networks' input space; the novelty of a state is the distance to the
+nearest one. The unit is the distance exceeded by one training state in a hundred, or slightly more for dense
+data; states of novelty up to 1 are within the training domain. Exactly known terms, such as p^2 / 2m, have no
 inputs and do not contribute.
 """
 
@@ -19,18 +19,18 @@ from ahnn.errors import UserError
 from ahnn.stored import Known, read
 
 KEPT = 500
-"""Maximum number of representative states, at most half of the training; the rest define the unit."""
+"""Maximum number of representative states; at most half of the training states. The rest define the unit."""
 FARTHEST = 0.01
 """Fraction of the training states with novelty above 1."""
 
 TOGETHER = 20_000
 """Number of states compared at once."""
 FINEST = 0.04
-"""Minimum unit, as a fraction of half the range of the inputs: with dense data a smooth network is still
-reliable slightly outside them.
+"""Minimum unit, as a fraction of half the range of the inputs: a smooth network is still reliable slightly
+outside dense data.
 """
 BEYOND = 1.5
-"""Novelty above which a state is flagged: unseen trajectories similar to the training reach 1.3."""
+"""Novelty above which a state is flagged: unseen trajectories similar to the training data reach 1.3."""
 RATE = 500.0
 """Growth rate of a learned force's error with the square of novelty - 1 (docs/novelty.md)."""
 
@@ -67,7 +67,7 @@ class Domain(NamedTuple):
 def growth(novelty: Tensor, rate: float = RATE) -> Tensor:
     """Return the factor >= 1 on the error of a learned force at states of given novelty.
 
-    It grows slowly at first, since one training state in a hundred is slightly beyond 1.
+    It grows slowly at first, since one training state in a hundred has a novelty slightly above 1.
     """
     return 1 + rate * (novelty - 1).clamp(min=0).square()
 
@@ -76,8 +76,8 @@ def growth(novelty: Tensor, rate: float = RATE) -> Tensor:
 def find_domain(dynamics: Dynamics, states: Tensor) -> Domain:
     """Determine the domain of training states (M, D), float64, from the inputs of fitted dynamics.
 
-    States are chosen successively, each farthest from the previous ones (Gonzalez 1985), so that rarely
-    sampled regions such as a perigee are represented.
+    States are chosen one by one, each farthest from the previous ones (Gonzalez 1985), so that rarely sampled
+    regions such as a perigee are represented.
     """
     inputs = dynamics.seen(states)
     chosen, nearest = [0], torch.full(inputs.shape[:1], torch.inf, dtype=inputs.dtype)
@@ -91,7 +91,7 @@ def find_domain(dynamics: Dynamics, states: Tensor) -> Domain:
 
 
 def domain_of(about: dict[str, Any], size: int) -> Domain | None:
-    """Read the domain from the metadata of weights; None for earlier versions.
+    """Read the domain from the metadata of weights; None for weights of earlier versions.
 
     Args:
         about: metadata of the weights.

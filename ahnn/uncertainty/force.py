@@ -22,8 +22,8 @@ LEAST = 1e-6
 def force_deviation(dynamics: nn.Module, spread: Tensor, states: Tensor) -> Callable[[Tensor], Tensor]:
     """Return x (..., D) -> standard deviation of the learned dp/dt as a fraction of its size, shape (...).
 
-    First order in the parameters, root mean square over components. Only the few parameter directions that
-    affect the force are kept.
+    It is computed to first order in the parameters, as the root mean square over components. Only the few
+    parameter directions that affect the force are kept.
 
     Args:
         dynamics: float64 dynamics with a field and parameters theta.

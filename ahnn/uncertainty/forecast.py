@@ -31,10 +31,10 @@ def forecast_columns(
     factor: Tensor,
     whitening: Whitening | None = None,
 ) -> Iterator[tuple[Tensor, Tensor]]:
-    """Yield the effect of one standard deviation of each cause on forecasts, in batches.
+    """Yield the effects C of one standard deviation of each cause on forecasts, in batches.
 
-    Causes are the noise of the fitted measurements, columns (b, K + 1, D, D) at the times of measurements,
-    and the parameters, (b, K + 1, D, R). The covariance of a state is the sum of C C^T of both.
+    Causes are the noise of the fitted measurements, with columns (b, K + 1, D, D) at the times of
+    measurements, and the parameters, (b, K + 1, D, R). The covariance of a state is the sum of C C^T of both.
 
     Args:
         dynamics: float64 dynamics with a field.

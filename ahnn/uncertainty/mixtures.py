@@ -11,11 +11,12 @@ from torch import Tensor
 def mixture_moments(states: Tensor, covariances: Tensor | None = None) -> tuple[Tensor, Tensor]:
     """Return mean (..., D) and covariance (..., D, D) of an equally weighted mixture.
 
-    By the law of total covariance. The covariance of the means has the divisor S - 1: members are a sample.
+    The covariance follows the law of total covariance; that of the means has the divisor S - 1, since members
+    are a sample.
 
     Args:
         states: means of the S >= 2 members, (S, ..., D).
-        covariances: their covariances, (S, ..., D, D); None for exact members.
+        covariances: covariances of the members, (S, ..., D, D); None for exact members.
     """
     mean = states.mean(0)
     off = states - mean
@@ -27,14 +28,14 @@ def mixture_crps(truth: Tensor, means: Tensor, deviations: Tensor | None = None)
     """Return the continuous ranked probability score of an equally weighted mixture of normals, (...).
 
     It is the integral of (F(z) - [z >= truth])^2 over z in the unit of the truth, and |error| for a forecast
-    without a width: with A(m, v) = E|N(m, v)|, the mean of A(truth - m_i, v_i) minus half the mean of
+    of zero width. With A(m, v) = E|N(m, v)|, it is the mean of A(truth - m_i, v_i) minus half the mean of
     A(m_i - m_j, v_i + v_j) (Grimit, Gneiting, Berrocal & Johnson 2006, Q. J. R. Meteorol. Soc. 132,
     2925-2942).
 
     Args:
         truth: true values, (...).
         means: means of the S members, (S, ...).
-        deviations: their standard deviations, (S, ...); None for members without a width.
+        deviations: standard deviations of the members, (S, ...); None for zero width.
     """
     variances = torch.zeros_like(means) if deviations is None else deviations.square()
     near = _absolute(truth - means, variances).mean(0)

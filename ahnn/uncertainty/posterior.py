@@ -67,10 +67,10 @@ class Uncertainty:
 
     @property
     def unfinished(self) -> str:
-        """Warning on a training that ended before its optimum; "" if its bands are meaningful.
+        """Warning about a training that ended before its optimum; "" if its bands are meaningful.
 
-        Noise contributes 1 to the squared length of the error for each determined parameter, so that beyond
-        their number the remaining step, which is only a linear estimate, accounts for most of the band.
+        Noise contributes 1 to the squared length of the error for each determined parameter. If the squared
+        remaining step, which is only a linear estimate, exceeds their number, it dominates the band.
         """
         remaining, determined = (self.about.get(name, 0.0) for name in ("remaining", "determined"))
         if remaining <= determined:
@@ -83,7 +83,7 @@ class Uncertainty:
 
     @property
     def least_observable(self) -> Tensor | None:
-        """Saved least observable directions, for parameters before the function-space step."""
+        """Saved least observable directions of the parameters before the function-space step."""
         return (self if self.tangent is None else self.tangent[1]).directions
 
     def taken(self, dynamics: Dynamics) -> tuple[Dynamics, Uncertainty]:

@@ -18,7 +18,7 @@ class TimeBasis(Protocol):
 
     size: int
     unit: float
-    """Acceleration in km/s^2 for a weight of 1, times the function."""
+    """Acceleration in km/s^2 for a weight of 1 and a function value of 1."""
 
     def __call__(self, t: Array) -> Array:
         """Return the functions at times (T,), shape (T, size)."""
@@ -38,7 +38,7 @@ class Powers:
 
 
 class CubicSplines:
-    """Cubic B-splines on even knots (de Boor 1978); they add up to 1 between the first and the last time."""
+    """Cubic B-splines on equidistant knots (de Boor 1978); their sum is 1 between first and last time."""
 
     def __init__(self, first: float, last: float, pieces: int, unit: float = 1e-9) -> None:
         self.first, self.last, self.size, self.unit = first, last, pieces + 3, unit
@@ -85,7 +85,7 @@ class AccelerationOfTime:
 
 
 def orbital_axes(r: Array, v: Array) -> Array:
-    """Return the unit vectors outward, along the track and along the momentum as columns, (..., 3, 3)."""
+    """Return the radial, along-track and cross-track unit vectors as columns, (..., 3, 3)."""
     normal = np.cross(r, v)
     outward, normal = (one / np.sqrt(inner(one, one)) for one in (r, normal))
     return np.stack((outward, np.cross(normal, outward), normal), axis=-1)

@@ -1,4 +1,4 @@
-"""Densities of the upper atmosphere: exponential layers, and Harris-Priester with the bulge of the day."""
+"""Densities of the upper atmosphere: exponential layers, and Harris-Priester with the diurnal bulge."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ NIGHT = 1e-12 * np.array(
         *(0.002210, 0.001560, 0.001150),
     ]
 )
-"""Least densities, kg/m^3, at mean solar activity."""
+"""Minimum densities, kg/m^3, at mean solar activity."""
 DAY = 1e-12 * np.array(
     [
         *(497400.0, 24900.0, 8710.0, 4059.0, 2215.0, 1344.0, 875.8, 601.0, 429.7, 316.2, 239.6, 185.3),
@@ -51,9 +51,9 @@ DAY = 1e-12 * np.array(
         *(0.03130, 0.02360, 0.01810),
     ]
 )
-"""Greatest densities, likewise."""
+"""Maximum densities, likewise."""
 LAG = np.radians(30.0)
-"""Right ascension of the densest air from the Sun: about two hours after noon."""
+"""Right ascension of the densest air relative to the Sun: about two hours after noon."""
 
 
 class Atmosphere(Protocol):
@@ -73,11 +73,11 @@ def exponential(t: float, r: Array) -> tuple[Array, Array]:
 
 
 class HarrisPriester:
-    """Density between its night and day values, with a bulge behind the Sun; heights are above a sphere.
+    """Density between night and day values, with a bulge that lags the Sun; heights are above a sphere.
 
     Args:
-        sun: t -> (3,) geocentric position, of any length.
-        exponent: n of cos^n(psi/2), psi from the bulge: 2 for low inclinations, 6 for polar orbits.
+        sun: t -> (3,) geocentric position, in any unit.
+        exponent: n in cos^n(psi/2), psi measured from the bulge: 2 for low inclinations, 6 for polar orbits.
     """
 
     def __init__(self, sun: Callable[[float], Array], exponent: float) -> None:
@@ -100,14 +100,14 @@ class HarrisPriester:
 
 
 def atmosphere(height: Array) -> tuple[Array, Array]:
-    """Return densities in kg/m^3 and scale heights in km at heights in km; the lowest is extrapolated."""
+    """Return densities in kg/m^3 and scale heights in km at heights in km; end layers are extrapolated."""
     layer = np.maximum(0, np.searchsorted(LAYERS[:, 0], height, side="right") - 1)
     base, density, scale = np.moveaxis(LAYERS[layer], -1, 0)
     return density * np.exp((base - height) / scale), scale
 
 
 def tabulated(height: Array, densities: Array) -> tuple[Array, Array]:
-    """Return densities at heights in km, exponential between rows of a table and beyond, and derivatives."""
+    """Return densities at heights in km, and their derivatives; exponential between and beyond table rows."""
     k = np.clip(np.searchsorted(HEIGHTS, height, side="right") - 1, 0, len(HEIGHTS) - 2)
     rate = np.log(densities[k + 1] / densities[k]) / (HEIGHTS[k + 1] - HEIGHTS[k])
     found = densities[k] * np.exp(rate * (height - HEIGHTS[k]))

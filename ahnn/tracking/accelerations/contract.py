@@ -12,11 +12,11 @@ NONE = np.zeros((3, 3))
 
 
 class Acceleration(NamedTuple):
-    """An acceleration at one state, or at each of several, in km/s^2 and the axes of GCRF.
+    """Acceleration at one or several states, in km/s^2 and the axes of GCRF.
 
     Attributes:
         value: (..., 3).
-        by_position: its derivative with respect to the position, (..., 3, 3).
+        by_position: derivative with respect to the position, (..., 3, 3).
         by_velocity: derivative with respect to the velocity, (..., 3, 3); (3, 3) if it is zero.
         by_parameters: derivative with respect to the parameters of the term, (..., 3, P); (3, 0) if there are
             none.
@@ -52,7 +52,7 @@ def known(value: Array, by_position: Array, by_velocity: Array = NONE) -> Accele
 
 
 def inner(a: Array, b: Array) -> Array:
-    """Return the products a b of vectors (..., 3), shape (..., 1)."""
+    """Return the scalar products of vectors (..., 3), shape (..., 1)."""
     return np.asarray((a * b).sum(-1, keepdims=True))
 
 

@@ -41,11 +41,11 @@ class EarthGravity:
 
 
 Recursion = tuple[tuple[Array, Array, float], ...]
-"""For each degree from 1: factors of z times the previous degree, of the one before that, and of x + i y."""
+"""For each degree from 1: factors on z times the previous degree, on the one before that, and on x + i y."""
 
 
 def recursion(degree: int, order: int) -> Recursion:
-    """Return the factors of `ahnn.systems.gravity.harmonics` for individual points."""
+    """Return the recursion factors of `ahnn.systems.gravity.harmonics` for `harmonics_at`."""
     found = []
     for n in range(1, degree + 1):
         m = np.arange(min(n - 1, order) + 1)
@@ -60,8 +60,7 @@ def recursion(degree: int, order: int) -> Recursion:
 def harmonics_at(q: Array, radius: float, factors: Recursion) -> NDArray[np.complexfloating]:
     """Return V_nm + i W_nm, (..., K), at points (..., 3).
 
-    `solid_harmonics` is for torch; a path is followed from point to point, where plain numbers are eight
-    times as fast.
+    `solid_harmonics` uses torch; on a path, which is propagated point by point, numpy is eight times as fast.
     """
     lead = q.shape[:-1]
     inverse = 1 / (q * q).sum(-1, keepdims=True) if lead else 1 / (q @ q)

@@ -1,4 +1,4 @@
-"""Solid Earth tide of Sun and Moon, of degree 2 (IERS Conventions 2010, 6.2.1)."""
+"""Solid Earth tides raised by Sun and Moon, degree 2 (IERS Conventions 2010, 6.2.1)."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ RADIUS = 6378.1366
 
 
 class EarthTide:
-    """Attraction by the tide of a body; includes the permanent part, so the field must be tide-free.
+    """Attraction by the tide that a body raises; the permanent part is included: use a tide-free field.
 
-    The potential is k2 mu / d^3 R^5 / r^3 (3 cos^2 z - 1) / 2, with z the angle between satellite and body.
+    The potential is k2 mu / d^3 R^5 / r^3 (3 cos^2 z - 1) / 2, where z is the angle from satellite to body.
 
     Args:
         mu: gravitational parameter of the body, km^3/s^2.

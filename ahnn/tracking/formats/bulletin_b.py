@@ -48,7 +48,7 @@ def read_bulletins(paths: str | Path | Sequence[str | Path]) -> EarthOrientation
     """Read the daily values of one or several bulletins; in overlaps final values take precedence.
 
     Raises:
-        UserError: an error, with its line number, or missing days between bulletins.
+        UserError: an invalid line, with its number, or missing days between bulletins.
     """
     names = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
     rows: dict[int, tuple[float, ...]] = {}
@@ -70,7 +70,7 @@ def bulletin_rows(text: str, file: str) -> list[tuple[float, ...]]:
     """Return the days of section 1: MJD, x, y, UT1 - UTC, dX, dY in mas and ms, and 1 for final values.
 
     Raises:
-        UserError: another file format, other units, or an invalid line.
+        UserError: a different file format, other units, or an invalid line.
     """
     lines = list(enumerate(text.split("\n"), 1))
     if not any(TITLE.match(line) for _, line in lines[:10]):

@@ -1,7 +1,7 @@
 """Laser ranging data of the ILRS: normal points of the Consolidated Laser Ranging Data Format (CRD).
 
 Source: R. L. Ricklefs, C. J. Moore, Consolidated Laser Ranging Data Format (CRD), ILRS, 1.01 and 2.01.
-Times of flight are two-way; half of it times the speed of light is the range.
+Times of flight are two-way; the range is the speed of light times half the time of flight.
 """
 
 from __future__ import annotations
@@ -66,14 +66,14 @@ def read_crd(path: str | Path) -> list[TrackingData]:
     """Read the normal points of a file, for each satellite and epoch event.
 
     Raises:
-        UserError: an error, with its line number.
+        UserError: an invalid record, with its line number.
     """
     path = Path(path)
     return crd_data(decoded(content_of(path), path), str(path))
 
 
 def crd_data(text: str, file: str, note: Note = refuse) -> list[TrackingData]:
-    """Return the normal points of all passes of a text; stations are named by their pads, such as 7941.
+    """Return the normal points of all passes in a text; stations are named by their pads, such as 7941.
 
     Args:
         text: text of one or several concatenated files.
@@ -81,7 +81,7 @@ def crd_data(text: str, file: str, note: Note = refuse) -> list[TrackingData]:
         note: callback for damaged records, which are then skipped.
 
     Raises:
-        UserError: no normal point, or errors of `note`.
+        UserError: no normal point, or a fault raised by `note`.
     """
     reader = _CrdReader(file, note)
     for row, line in enumerate(text.split("\n"), 1):
@@ -230,7 +230,7 @@ class _CrdReader:
         return self.session or place.refuse("record H4 before it", "none")
 
     def close(self, what: str) -> None:
-        """End a session that lacks its last record, which is a fault."""
+        """End an open session, and note the fault that its last record is missing."""
         if self.session is not None:
             self.finish()
             self.note(Fault(Place(self.file), "record H8 at the end of each session", what))

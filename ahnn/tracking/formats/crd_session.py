@@ -22,7 +22,7 @@ class WeatherRecord(NamedTuple):
 
 
 class NormalPoint(NamedTuple):
-    """Normal point: moment, range in km, station configuration and line number."""
+    """Normal point: moment, range in km, station configuration, epoch event and line number."""
 
     moment: int
     range: float
@@ -36,8 +36,8 @@ class RangingSession:
     """Content of a pass while its records are read.
 
     Attributes:
-        start, stop: time span of its points; stop is None if unspecified.
-        last: last moment, from which the day of the next record follows.
+        start, stop: time span of the points; stop is None if unspecified.
+        last: moment of the last point, which determines the day of the next one.
     """
 
     start: int
@@ -49,12 +49,12 @@ class RangingSession:
 
 
 def moment_near(moment: int, seconds: str) -> int:
-    """Return the moment at given seconds of day, on the day that is nearest to another moment.
+    """Return the moment at given seconds of day that is nearest to a reference moment.
 
     Args:
         moment: reference moment.
-        seconds: seconds of day, exact to a picosecond; after midnight some stations continue counting, some
-            restart.
+        seconds: seconds of day, exact to a picosecond; after midnight, some stations continue counting and
+            others restart.
     """
     whole, _, fraction = seconds.partition(".")
     plain = whole.isdigit() and (fraction or "0").isdigit()
@@ -66,7 +66,7 @@ def moment_near(moment: int, seconds: str) -> int:
 
 
 def weather_at(records: list[WeatherRecord], moments: list[int]) -> list[tuple[float, float, float]]:
-    """Interpolate the weather linearly at given moments; outside the records the nearest is used."""
+    """Interpolate the weather linearly at given moments; outside the records the nearest one is used."""
     if not records:
         return [UNKNOWN] * len(moments)
     known = [one.moment for one in records]

@@ -1,7 +1,7 @@
 """Daily Earth orientation from the package astropy-iers-data: finals2000A of the IERS.
 
 Columns are defined in the IERS's readme.finals2000A: modified Julian date, x and y of the pole in arcseconds,
-UT1 - UTC in seconds and offsets dX, dY of the celestial pole in mas, all of Bulletin A.
+UT1 - UTC in seconds and offsets dX, dY of the celestial pole in mas, all from Bulletin A.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ PREDICTED = 57
 
 
 def installed_orientation() -> EarthOrientation:
-    """Load the days of the package astropy-iers-data.
+    """Load the daily values of the package astropy-iers-data.
 
     Raises:
         UserError: the package is not installed, or its file is damaged.
@@ -40,7 +40,7 @@ def installed_orientation() -> EarthOrientation:
 
 
 def finals_orientation(text: str, file: str) -> EarthOrientation:
-    """Return the days with UT1 of a finals2000A file; unknown pole offsets are 0.
+    """Return the days of a finals2000A file that have UT1; missing pole offsets are 0.
 
     Raises:
         UserError: an invalid number, with its line number.

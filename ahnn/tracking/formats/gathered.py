@@ -1,4 +1,4 @@
-"""Collection of individual measurements from readers into the tracking data of one satellite."""
+"""Assembly of individual measurements into the tracking data of one satellite."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ BOUNDS: dict[Kind, tuple[float, float]] = {
 }
 """Valid range of each kind of measurement."""
 ROUNDING = 1e-12
-"""Tolerance of conversion factors from degrees."""
+"""Relative tolerance for rounding in conversions from degrees."""
 
 
 def measured(kind: Kind, text: str, factor: float, place: Place, correction: float = 0.0) -> float:
-    """Parse a measurement to km, rad or km/s.
+    """Parse a measurement and convert it to km, rad or km/s.
 
     Args:
         kind: kind of the measurement.
@@ -37,7 +37,7 @@ def measured(kind: Kind, text: str, factor: float, place: Place, correction: flo
         correction: correction added to the number.
 
     Raises:
-        UserError: an invalid number, or one outside the range of this kind.
+        UserError: an invalid number, or one outside the valid range of the kind.
     """
     value = factor * (within(text, place, -1e30, 1e30) + correction)
     low, high = BOUNDS[kind]
@@ -48,7 +48,7 @@ def measured(kind: Kind, text: str, factor: float, place: Place, correction: flo
 
 @dataclass(frozen=True)
 class TrackingReading:
-    """One measurement, or two simultaneous angles.
+    """Simultaneous measurements by one station.
 
     Attributes:
         moment: picoseconds since 2000-01-01 in UTC with all leap seconds (`epochs.instant`).
@@ -70,7 +70,7 @@ class TrackingReading:
 
 
 def between(known: list[int], values: list[float], moments: list[int]) -> list[float]:
-    """Interpolate values linearly at moments; outside the known range the nearest is used.
+    """Interpolate values linearly at moments; outside the known range the nearest value is used.
 
     Args:
         known: moments of the values, in any order, at least one.
@@ -90,7 +90,7 @@ def gathered(
 
     Args:
         name: name of the satellite.
-        readings: readings in any order; the first sets time zero.
+        readings: readings in any order; the earliest sets time zero.
         event: event tagged by the times.
         remarks: remarks on unused content of the file.
     """

@@ -17,8 +17,8 @@ def utc_moment(text: str, place: Place, clock: str = "UTC") -> int:
     """Return an epoch as picoseconds since 2000-01-01 in UTC with all leap seconds (`epochs.instant`).
 
     Raises:
-        UserError: an invalid epoch, or one outside 1972 to 2200, where UTC does not differ from these time
-            scales by whole seconds or no tracking data exist.
+        UserError: an invalid epoch, or one outside 1972 to 2200: earlier, UTC differs from TAI by fractional
+            seconds; later, no tracking data exist.
     """
     try:
         moment = epochs.instant(text, utc=clock == "UTC")

@@ -1,10 +1,11 @@
-"""Tables of tracking data in columns: each line has a time, a station and what it measured then.
+"""Tables of tracking data in columns: each line has a time, a station and its measurements at that time.
 
     time,station,range_km,azimuth_deg,elevation_deg
     2010-11-02T03:00:13.3851,Uralla,38014.9488,211.1446,43.4099
 
-Units follow the names, as in `range [km]`, or are in the sidecar of `station_table`, which also names the
-event tagged by the times. Columns such as `sd_range` contain standard deviations, `object` names a satellite.
+Units follow the names, as in `range [km]`, or are given in the sidecar of `station_table`, which also names
+the event tagged by the times. Columns such as `sd_range` contain standard deviations; the column `object`
+contains names of satellites.
 """
 
 from __future__ import annotations
@@ -29,11 +30,11 @@ class SightingColumns(NamedTuple):
     """Roles of the columns.
 
     Attributes:
-        time, station: their places.
+        time, station: indices of these columns.
         clock: time scale of the epochs.
-        object: place of the satellite's name; None for one satellite.
-        values, deviations: place and factor to km, rad and km/s of each kind.
-        stated: standard deviations of kinds without such a column.
+        object: index of the column of satellite names; None for one satellite.
+        values, deviations: column index and factor to km, rad or km/s, by kind.
+        stated: standard deviations from the sidecar, used where no column contains any.
     """
 
     time: int
@@ -51,11 +52,11 @@ def columns_data(text: str, file: str, said: TrackingSidecar, note: Note = refus
     Args:
         text: text of the table.
         file: file name.
-        said: content of its sidecar.
+        said: content of the table's sidecar.
         note: callback for invalid lines, which are then skipped.
 
     Raises:
-        UserError: an unknown column or unit, no measurement, or errors of `note`.
+        UserError: an unknown column or unit, no measurement, or a fault raised by `note`.
     """
     sheet = read_csv(text, file, note)
     roles = roles_of(sheet.header.names, sheet.header.units, sheet.place, said)
@@ -74,7 +75,7 @@ def columns_data(text: str, file: str, said: TrackingSidecar, note: Note = refus
 
 
 def has_columns(text: str) -> bool:
-    """Return whether the first line of a table of measurements has the names of its columns."""
+    """Return whether the first line of a table of measurements contains column names."""
     first = next(
         (line for line in text.split("\n") if line.strip() and not line.lstrip().startswith("#")), ""
     )
@@ -121,7 +122,7 @@ def roles_of(
 
 
 def factor_of(kind: Kind, unit: str | None, place: Place) -> float:
-    """Return the factor of a unit to the unit of a kind; raises UserError."""
+    """Return the factor from a unit to the unit of a kind; raises UserError."""
     if unit is None:
         example = "deg" if UNITS[kind] == "rad" else UNITS[kind]
         place.refuse(f"a unit, such as {kind} [{example}]", "none")
@@ -132,7 +133,7 @@ def factor_of(kind: Kind, unit: str | None, place: Place) -> float:
 
 
 def reading_of(cells: list[str], place: Place, roles: SightingColumns) -> TrackingReading:
-    """Parse the measurements of a line, without those that are missing; raises UserError."""
+    """Parse the measurements of a line; missing ones are omitted. Raises UserError."""
     moment = utc_moment(cells[roles.time], place._replace(column="time"), roles.clock)
     if cells[roles.station].lower() in MISSING:
         place._replace(column="station").refuse("a station name", "none")

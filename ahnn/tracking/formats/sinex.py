@@ -34,7 +34,7 @@ NEAREST, FARTHEST = 6.33e6, 6.40e6
 
 
 class SinexEstimate(NamedTuple):
-    """Values of one solution for a point: by type, and their reference epoch."""
+    """Values of one solution for a point, by type, with their reference epoch."""
 
     place: Place
     reference: int
@@ -55,7 +55,7 @@ def read_sinex(*paths: str | Path) -> StationCatalogue:
     """Read the stations of one or several files, for example positions and eccentricities separately.
 
     Raises:
-        UserError: an error, with its line number, a file without either, or a station in two files.
+        UserError: an invalid line, with its number, a file with neither, or a station in two files.
     """
     found = StationCatalogue()
     for path in map(Path, paths):
@@ -76,7 +76,7 @@ def sinex_stations(text: str, file: str) -> StationCatalogue:
     """Return the stations of a file.
 
     Raises:
-        UserError: an error, with its line number, or a file without positions and eccentricities.
+        UserError: an invalid line, with its number, or a file with neither positions nor eccentricities.
     """
     lines = text.split("\n")
     if not TITLE.match(lines[0]):
@@ -139,7 +139,7 @@ def _span(blocks: _Blocks, line: str, place: Place) -> None:
 
 
 def _eccentricity(blocks: _Blocks, line: str, place: Place) -> None:
-    """Read a line of SITE/ECCENTRICITY: numbers of nine columns each, not necessarily separated by blanks."""
+    """Read a line of SITE/ECCENTRICITY; each number has nine characters, and blanks may be missing."""
     found = OFFSET.search(line)
     cells = line[: found.start()].split() if found else []
     if found is None or len(cells) != 6:
@@ -160,7 +160,7 @@ READERS: dict[str, Callable[[_Blocks, str, Place], None]] = {
 
 
 def _solutions(blocks: _Blocks) -> dict[str, list[StationSolution]]:
-    """Return the solutions of each point in order of time; raises UserError for incomplete ones."""
+    """Return the solutions of each point in order of time; raises UserError for an invalid solution."""
     found: dict[str, list[StationSolution]] = {}
     for (point, number), one in blocks.estimates.items():
         position = _vector(one, COORDINATES)

@@ -27,8 +27,8 @@ class StationSolution(NamedTuple):
         reference: moment of the position (`epochs.instant`).
         position: (3,) km in the terrestrial frame.
         velocity: (3,) km per year.
-        start, end: time span of its data; None if unspecified.
-        moving: whether its velocity is known.
+        start, end: time span of the data; None if unspecified.
+        moving: whether the velocity is known.
     """
 
     reference: int
@@ -75,15 +75,15 @@ class StationCatalogue:
     def position(self, code: str, moment: int) -> Vector:
         """Return the reference point of a station in the terrestrial frame, (3,) km.
 
-        If no solution covers that time, the last one that began before it is extrapolated; without any
-        eccentricity file the marker itself is the reference point.
+        If no solution covers the moment, the last one that began before it is extrapolated. Without any
+        eccentricities, the marker itself is the reference point.
 
         Args:
             code: station code.
             moment: picoseconds since 2000-01-01 in UTC with all leap seconds (`epochs.instant`).
 
         Raises:
-            UserError: no solution of the station, or no eccentricity at that time.
+            UserError: no solution for the station, or no eccentricity at that time.
         """
         when = epochs.spelled(moment, utc=True)
         if code not in self.solutions:
@@ -112,7 +112,7 @@ class StationCatalogue:
 
 
 def geodetic(position: Vector) -> tuple[float, float, float]:
-    """Return latitude and longitude in rad and height in km above GRS80 of a position in km.
+    """Return latitude and longitude in rad, and height in km above GRS80, of a position in km.
 
     The latitude is found by fixed-point iteration of tan(latitude) = (z + e² N sin(latitude)) / p, which
     contracts by e² near the Earth's surface.

@@ -3,7 +3,7 @@
     2010-11-02T03:00:13.3851   RANGE       Uralla         38014.9488
     2010-11-02T03:00:50.5716   AZ_EL       Kumsan           211.1446   43.4099
 
-A table does not contain its units. They are given in a sidecar (`tracking_sidecar`), a YAML of the same name:
+A table does not contain units. A sidecar (`tracking_sidecar`), a YAML file of the same name, gives them:
 
     object: W3B
     clock: UTC
@@ -30,10 +30,10 @@ def read_station_table(path: str | Path, aside: str | Path | None = None) -> lis
 
     Args:
         path: path of the table.
-        aside: its sidecar; None for the YAML of the same name, if present.
+        aside: path of the sidecar; None for the YAML file of the same name, if present.
 
     Raises:
-        UserError: an error, with its line number.
+        UserError: an invalid line, with its number, or an invalid sidecar.
     """
     path = Path(path)
     said = sidecar_of(path, None if aside is None else Path(aside))
@@ -41,16 +41,16 @@ def read_station_table(path: str | Path, aside: str | Path | None = None) -> lis
 
 
 def table_data(text: str, file: str, said: TrackingSidecar, note: Note = refuse) -> list[TrackingData]:
-    """Return the measurements of a table, of one satellite.
+    """Return the measurements of one satellite from a table.
 
     Args:
         text: text of the table; lines that begin with # are skipped.
         file: file name.
-        said: content of its sidecar.
+        said: content of the table's sidecar.
         note: callback for invalid lines, which are then skipped.
 
     Raises:
-        UserError: no measurement, or errors of `note`.
+        UserError: no measurement, or a fault raised by `note`.
     """
     found, kinds = [], set[str]()
     for row, line in enumerate(text.split("\n"), 1):
@@ -86,6 +86,6 @@ def reading_of(cells: list[str], place: Place, said: TrackingSidecar) -> Trackin
 
 
 def unit_of(kind: str, said: TrackingSidecar) -> tuple[str, float]:
-    """Return the unit of a kind and its factor."""
+    """Return the unit of a kind, and the factor from it to km, km/s or rad."""
     name = said.units.get(kind, next(iter(UNITS[kind])))
     return name, UNITS[kind][name]

@@ -1,7 +1,7 @@
 """Tracking data messages (CCSDS 503.0-B): ranges, range rates and angles of two-way and one-way links.
 
-The standard leaves open whether two-way ranges and rates refer to the full path or half of it; here this is
-an option, by default half.
+The standard does not specify whether two-way ranges and rates refer to the full path or half of it; here this
+is an option, by default half.
 """
 
 from __future__ import annotations
@@ -34,10 +34,11 @@ def read_tdm(path: str | Path, two_way: TwoWay | None = None) -> list[TrackingDa
 
     Args:
         path: path of the file, in either notation.
-        two_way: path of two-way ranges and rates, half or whole; None: as in the sidecar, else half.
+        two_way: part of the round trip that two-way ranges and rates measure, half or whole; None: as in the
+            sidecar, else half.
 
     Raises:
-        UserError: an error, with its line number.
+        UserError: invalid content, with its line number.
     """
     path = Path(path)
     two_way = two_way or sidecar_of(path).two_way
@@ -50,11 +51,11 @@ def tdm_data(text: str, file: str, two_way: TwoWay = "half", note: Note = refuse
     Args:
         text: text of the message, in either notation.
         file: file name.
-        two_way: path of two-way ranges and rates, half or whole.
+        two_way: part of the round trip that two-way ranges and rates measure, half or whole.
         note: callback for damaged records, which are then skipped.
 
     Raises:
-        UserError: an unreadable message, no measurement, or errors of `note`.
+        UserError: an unreadable message, no measurement, or a fault raised by `note`.
     """
     segments = xml_segments(text, file) if text.lstrip().startswith("<") else kvn_segments(text, file)
     weather: WeatherSeries = {}
@@ -103,7 +104,7 @@ def _readings(segment: TdmSegment, link: TdmLink, note: Note) -> list[TrackingRe
 
 
 def _value(key: str, text: str, link: TdmLink, place: Place) -> tuple[Kind, float]:
-    """Parse the kind of a measurement, and its value in km, km/s or rad; raises UserError."""
+    """Return the kind of a measurement and its value in km, km/s or rad; raises UserError."""
     if key in ("ANGLE_1", "ANGLE_2"):
         kind, factor = link.angle(key, place), math.pi / 180
     elif key == "RANGE":
@@ -116,8 +117,8 @@ def _value(key: str, text: str, link: TdmLink, place: Place) -> tuple[Kind, floa
 def _of_integration(readings: list[TrackingReading], interval: float) -> str:
     """Return a remark on integrated Doppler, with the deviation of a mean from the rate at its midpoint.
 
-    The deviation is the square of the interval times the second derivative of the rate over 24, to the next
-    order; the derivative is the largest of the divided differences of three measurements.
+    To leading order, the deviation is the squared interval times the second derivative of the rate over 24;
+    the largest divided difference of three successive measurements is used as this derivative.
     """
     what = f"means over {interval:g} s are treated as the range rates at their midpoints"
     ranked = sorted((one.moment, one.values["range_rate"]) for one in readings if "range_rate" in one.values)
@@ -145,7 +146,7 @@ def _add_weather(segment: TdmSegment, weather: WeatherSeries, note: Note) -> Non
 
 
 def station_of(segment: TdmSegment) -> str:
-    """Return the station of a segment's weather: the last participant of its path, or the only one."""
+    """Return the station of a segment's weather: the last participant of the path, or else the first one."""
     last = segment.meta.get("PATH", "1").split(",")[-1].strip()
     return segment.meta.get(f"PARTICIPANT_{last}", segment.meta.get("PARTICIPANT_1", ""))
 

@@ -51,14 +51,14 @@ class TdmLink:
         station, satellite: the last two participants of the path.
         clock: time scale of the epochs.
         event: event tagged by the epochs.
-        ways: ways of the link: 1 for satellite to station, 2 for two-way.
-        two_way: path of two-way ranges, half or whole.
+        ways: number of ways of the link: 1 for satellite to station, 2 for a round trip.
+        two_way: part of the round trip that two-way ranges and rates measure, half or whole.
         units: units of ranges.
-        angles: types of the two angles, or none.
+        angles: kinds of the two angles, or None.
         middle: seconds from the time tag of an integrated Doppler to the middle of its interval.
         interval: integration interval in seconds; 0 if unspecified.
-        corrections: corrections to be added to data by keyword, in its unit.
-        blocked: unreadable data, with reasons.
+        corrections: corrections to be added to the data, by data keyword, in the unit of the data.
+        blocked: keywords of unreadable data, with expected and received metadata.
         remarks: remarks on unused content and on noteworthy interpretations.
     """
 
@@ -77,12 +77,12 @@ class TdmLink:
     remarks: list[str] = field(default_factory=list)
 
     def range_factor(self, place: Place) -> float:
-        """Return the factor from a range to km of half the path; raises UserError for unreadable ranges."""
+        """Return the factor from a range to half the path in km; raises UserError for unreadable ranges."""
         self.require("RANGE", place)
         return self.half(place) * (LIGHT if self.units == "s" else 1.0)
 
     def rate_factor(self, key: str, place: Place) -> float:
-        """Return the factor from a rate to km/s of half the path; raises UserError for unreadable rates."""
+        """Return the factor from a rate to that of half the path, km/s; raises UserError if unreadable."""
         if key == "DOPPLER_INTEGRATED":
             self.require(key, place)
         return self.half(place)
@@ -94,13 +94,13 @@ class TdmLink:
         return 0.5 if self.two_way == "whole" else 1.0
 
     def angle(self, key: str, place: Place) -> Kind:
-        """Return the angle of a keyword; raises UserError if unspecified."""
+        """Return the kind of angle of a keyword; raises UserError if unspecified."""
         self.require("ANGLE_1", place)
         assert self.angles is not None
         return self.angles[0 if key == "ANGLE_1" else 1]
 
     def require(self, key: str, place: Place) -> None:
-        """Raise UserError for data with unclear metadata."""
+        """Raise UserError for data that cannot be read because of their metadata."""
         if key in self.blocked:
             place.refuse(*self.blocked[key])
 
@@ -163,7 +163,7 @@ def _participants(meta: dict[str, str], place: Place) -> tuple[str, str, int]:
 
 
 def _judge_ranges(link: TdmLink, meta: dict[str, str], place: Place) -> None:
-    """Mark unreadable ranges: ambiguous, in station-specific units, or delayed."""
+    """Block ranges that are ambiguous, in station-specific units, or that include delays."""
     if link.units not in ("km", "s"):
         link.blocked["RANGE"] = "RANGE_UNITS = km or s", repr(link.units)
     if _number(meta, "RANGE_MODULUS", place) != 0:
@@ -178,7 +178,7 @@ def _judge_ranges(link: TdmLink, meta: dict[str, str], place: Place) -> None:
 
 
 def _judge_angles(link: TdmLink, meta: dict[str, str]) -> None:
-    """Mark unreadable angles."""
+    """Block angles of unsupported types or frames."""
     if link.angles is None:
         link.blocked["ANGLE_1"] = f"ANGLE_TYPE = {' or '.join(ANGLES)}", repr(meta.get("ANGLE_TYPE", ""))
     elif link.angles == ANGLES["RADEC"]:
@@ -190,7 +190,7 @@ def _judge_angles(link: TdmLink, meta: dict[str, str]) -> None:
 
 
 def _judge_integration(link: TdmLink, meta: dict[str, str], place: Place) -> None:
-    """Find the middle of the interval of an integrated Doppler."""
+    """Find the middle of the interval of integrated Doppler; block it if the interval is unclear."""
     parts = {"START": 0.5, "MIDDLE": 0.0, "END": -0.5}
     link.interval = _number(meta, "INTEGRATION_INTERVAL", place)
     reference = meta.get("INTEGRATION_REF", "")
@@ -202,7 +202,7 @@ def _judge_integration(link: TdmLink, meta: dict[str, str], place: Place) -> Non
 
 
 def _judge_corrections(link: TdmLink, meta: dict[str, str], place: Place) -> None:
-    """Find corrections not yet applied to the data; raises UserError if unclear."""
+    """Find corrections not yet applied to the data; raises UserError if this is unclear."""
     given = {key: _number(meta, key, place) for key in (*CORRECTED, *OTHER_CORRECTIONS) if key in meta}
     if not given:
         return
@@ -217,7 +217,7 @@ def _judge_corrections(link: TdmLink, meta: dict[str, str], place: Place) -> Non
 
 
 def _number(meta: dict[str, str], key: str, place: Place) -> float:
-    """Return the number of a keyword, 0 if absent; raises UserError."""
+    """Return the number given for a keyword, 0 if absent; raises UserError for other values."""
     return within(meta[key], place._replace(column=key), -1e30, 1e30) if key in meta else 0.0
 
 

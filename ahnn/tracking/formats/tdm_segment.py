@@ -27,9 +27,9 @@ class TdmSegment:
     """Content of a segment.
 
     Attributes:
-        place: begin of the segment.
+        place: beginning of the segment.
         meta: metadata by keyword.
-        records: line, keyword, epoch and value of its data.
+        records: line, keyword, epoch and value of each datum.
     """
 
     place: Place
@@ -37,13 +37,13 @@ class TdmSegment:
     records: list[tuple[int, str, str, str]] = field(default_factory=list)
 
     def say(self, key: str, value: str, place: Place) -> None:
-        """Add to the metadata; raises UserError for a duplicate keyword."""
+        """Add a value to the metadata; raises UserError for a duplicate keyword."""
         if key in self.meta:
             place._replace(column=key).refuse("each keyword once in the metadata", "it twice")
         self.meta[key] = value
 
     def record(self, key: str, epoch: str, value: str, place: Place) -> None:
-        """Add to the data; raises UserError for unknown keywords."""
+        """Add a record to the data; raises UserError for an unknown keyword."""
         known = (*USED_DATA, *WEATHER, *UNUSED_DATA)
         if key not in known:
             guess = nearest(key, known)
@@ -59,7 +59,7 @@ def require_version(text: str, place: Place) -> None:
 
 
 def kvn_segments(text: str, file: str) -> list[TdmSegment]:
-    """Return the segments of a message.
+    """Return the segments of a message in keyword = value notation.
 
     Raises:
         UserError: unexpected content, with its line number.
@@ -102,4 +102,4 @@ CHANGES = {
     ("DATA_START", "ready"): "data",
     ("DATA_STOP", "data"): "between",
 }
-"""Actions of a line on the state of the parser."""
+"""Next state of the parser, by line and current state."""

@@ -54,7 +54,7 @@ def write_tdm(
 
 
 def segments_of(data: TrackingData, frame: str) -> Iterator[tuple[dict[str, str], list[Record]]]:
-    """Yield metadata and data of each station and type of angles; raises UserError for other times."""
+    """Yield metadata and data of each station and angle type; raises UserError for times of reflection."""
     if data.event == "bounce":
         message = "write_tdm: expected times of reception or transmission; received times of reflection"
         raise UserError(message)

@@ -18,11 +18,11 @@ UNITS = {
     "TEMPERATURE": ("K",),
     "RHUMIDITY": ("%",),
 }
-"""Units of data, if given by an attribute."""
+"""Valid units of data in the attribute `units`."""
 
 
 def xml_segments(text: str, file: str) -> list[TdmSegment]:
-    """Return the segments of a message.
+    """Return the segments of a message in XML.
 
     Raises:
         UserError: not XML, other units, or an observation that is not an epoch and a value.
@@ -38,7 +38,7 @@ def xml_segments(text: str, file: str) -> list[TdmSegment]:
 
 
 class _TdmReader:
-    """Handlers that collect texts of metadata and observations."""
+    """Parser handlers that collect metadata and observations."""
 
     def __init__(self, file: str) -> None:
         self.file, self.text, self.path = file, "", list[str]()
@@ -82,11 +82,11 @@ class _TdmReader:
         self.text += text
 
     def entity(self, *_: object) -> None:
-        """Reject entities, which could expand a small file to a huge one."""
+        """Reject entities, which could expand a small file into a huge one."""
         self.place.refuse("no custom entities", "one")
 
     def end(self, _: str) -> None:
-        """End an element: a text of the metadata or of an observation, or an observation."""
+        """End an element, and store its text or the complete observation."""
         tag, place = self.path.pop(), self.place
         inside = self.path[-1] if self.path else ""
         if tag == "COMMENT":

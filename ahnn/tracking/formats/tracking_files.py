@@ -24,11 +24,11 @@ def read_tracking(
 
     Args:
         path: path of a TDM in either notation, of normal points (CRD), or of a plain table.
-        aside: its sidecar; None for the YAML of the same name, if present.
+        aside: path of the sidecar; None for the YAML file of the same name, if present.
         note: callback for damaged content, which is then skipped.
 
     Raises:
-        UserError: unsupported format, named in the message, or errors of `note`.
+        UserError: an unsupported format, named in the message, or a fault raised by `note`.
     """
     path = Path(path)
     raw, file = content_of(path), str(path)

@@ -1,4 +1,4 @@
-"""YAML sidecar with metadata missing in a tracking file: `W3B.yaml` for `W3B.aer`."""
+"""YAML sidecar with metadata that a tracking file lacks: `W3B.yaml` for `W3B.aer`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ahnn.tracking.formats.instants import CLOCKS
 from ahnn.tracking.tracking_data import Event, Kind
 
 TwoWay = Literal["half", "whole"]
-"""Path of a two-way range: half of it, or all of it."""
+"""Part of the round trip that a two-way range measures."""
 COLUMNS: dict[str, tuple[Kind, ...]] = {
     "RANGE": ("range",),
     "RANGE_RATE": ("range_rate",),
@@ -44,7 +44,7 @@ class TrackingSidecar(NamedTuple):
         event: event tagged by the epochs.
         units: unit of each kind.
         deviations: standard deviations of each kind, in its unit.
-        two_way: path of two-way ranges and rates, half or whole.
+        two_way: part of the round trip that two-way ranges and rates measure, half or whole.
         given: whether a sidecar exists.
     """
 
@@ -58,10 +58,10 @@ class TrackingSidecar(NamedTuple):
 
 
 def sidecar_of(path: Path, aside: Path | None = None) -> TrackingSidecar:
-    """Read the sidecar of a file, by default the YAML of the same name.
+    """Read the sidecar of a file, by default the YAML file of the same name.
 
     Raises:
-        UserError: an invalid sidecar, or a missing one that was named.
+        UserError: an invalid sidecar, or a given path without a file.
     """
     beside = sidecar.beside(path) if aside is None else aside
     if aside is None and (beside == path or not beside.is_file()):
@@ -102,12 +102,12 @@ def parse_sidecar(text: str, file: str) -> TrackingSidecar:
 
 
 def chosen(value: Any, among: tuple[str, ...], place: Place) -> Any:
-    """Return a word if it is an allowed one; raises UserError otherwise."""
+    """Return a value if it is allowed; raises UserError otherwise."""
     return value if value in among else place.refuse(f"one of {', '.join(among)}", repr(value))
 
 
 def mapping(value: Any, place: Place) -> dict[str, Any]:
-    """Return values by kind; raises UserError for invalid ones."""
+    """Return a mapping of kinds to values; raises UserError for anything else."""
     if not isinstance(value, dict) or any(key not in COLUMNS for key in value):
         place.refuse(f"values for one or more of {', '.join(COLUMNS)}", repr(value))
     return value
