@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from ahnn.data.files import instant
@@ -12,6 +14,16 @@ from ahnn.errors import UserError
 NOON = instant("2024-03-01T12:00:00", utc=True)
 TEXT = "EME2000, EARTH, UTC, from 2024-03-01T12:00:00.000"
 WHOLE = Reference("EME2000", "EARTH", "UTC", NOON)
+
+
+def test_the_earth_turns_as_mean_sidereal_time_less_precession():
+    """Meeus, Astronomical Algorithms, example 12.a: 13 h 10 min 46.3668 s at 0 h on 10 April 1987."""
+    sidereal = (13 + 10 / 60 + 46.3668 / 3600) * math.pi / 12
+    century = -0.127296372348  # from J2000.0
+    precession = (0.014506 + 4612.156534 * century + 1.3915817 * century**2) / 3600 * math.pi / 180
+    epoch = instant("1987-04-10T00:00:00", utc=True)
+    angle = Reference(clock="UTC", epoch=epoch).earth_angle()
+    assert angle == pytest.approx(sidereal - precession, abs=2e-6)
 
 
 @pytest.mark.parametrize(

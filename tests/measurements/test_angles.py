@@ -66,7 +66,7 @@ def coasting(x, dt):
 
 def test_units_say_what_is_an_angle_and_a_model_may_say_otherwise():
     assert periods(Position(2, "rad")) == (TURN, TURN)
-    assert periods(Position(1, "deg")) == (360.0,)
+    assert periods(Position(1, "deg")) == periods(Position(1, "°")) == (360.0,)
     assert periods(State(1, ("rad", "rad/s"))) == (TURN, math.inf)
     assert periods(GroundStation(0, 0, range_rate=True)) == (math.inf, TURN, TURN, math.inf)
     assert periods(Several([Position(1, "km"), Encoder(), Counter()])) == (

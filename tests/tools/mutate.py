@@ -51,6 +51,7 @@ TESTS = (
     *(f"tests/{name}" for name in ("test_metrics.py", "test_statistics.py", "test_rollouts.py")),
     *(f"tests/{name}" for name in ("test_restoring.py", "test_checkpoints.py")),
     *("tests/evaluation/test_open_loop.py", "tests/prediction/test_starts_from_files.py"),
+    *("tests/tracking", "tests/test_own_data.py"),
 )
 """Where the tests of the kernels are."""
 
