@@ -158,8 +158,8 @@ class Catalogue:
 
     @property
     def identity(self) -> str:
-        """Hash (32 hexadecimal digits) of everything that determines estimates except starts and readings."""
-        return self.models.identity((*self.limits, self.process.max_step))
+        """Hashes of everything that determines estimates except starts and readings."""
+        return self.models.identity({**self.limits._asdict(), "step": self.process.max_step})
 
     def save(self, path: str | Path, notes: Mapping[str, str] | None = None) -> None:
         """Save the complete state atomically, for resuming.

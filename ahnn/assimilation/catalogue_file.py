@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from ahnn.assimilation.object_windows import FollowedObjects, KeptRow, ObjectWindow
+from ahnn.assimilation.stream_identity import refusal
 from ahnn.checkpoints import Weights, packed, read_safetensors
 from ahnn.errors import UserError
 from ahnn.estimation import Belief, FilterState, Status
@@ -59,7 +60,7 @@ def read_catalogue(
     Args:
         objects: container to fill, once the file has been read completely.
         path: path of the file.
-        identity: hash that identifies the filters.
+        identity: identity of the filters' settings.
         names: names of the objects; None if unknown in advance.
         width: number W of columns.
 
@@ -83,9 +84,7 @@ def read_catalogue(
         message = f"state: expected a file written by save; received {path} ({error})"
         raise UserError(message) from error
     if about["of"] != identity:
-        expected = "a state saved with this model, process noise, gate, sensors and window"
-        message = f"state: expected {expected}; received {path}, saved with different settings. {OTHERS}"
-        raise UserError(message)
+        raise UserError(refusal(path, about["of"], identity))
     if names is not None and names != about["names"]:
         message = f"start: expected the {count} objects of {path}; received different objects. {OTHERS}"
         raise UserError(message)

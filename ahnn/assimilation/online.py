@@ -19,6 +19,7 @@ from ahnn.assimilation.late_readings import KeptReading, ReadingWindow
 from ahnn.assimilation.reading_runs import FollowedRun, ReadingRuns
 from ahnn.assimilation.stream_controls import StreamControls
 from ahnn.assimilation.stream_estimate import Estimate, Outcome, covariances
+from ahnn.assimilation.stream_identity import refusal
 from ahnn.assimilation.stream_models import FURTHEST, StreamModels
 from ahnn.assimilation.stream_sensor import StreamSensor
 from ahnn.controls import ControlTable
@@ -198,18 +199,14 @@ class Assimilation:
 
     @property
     def identity(self) -> str:
-        """Hash (32 hexadecimal digits) of everything that determines estimates except start and readings."""
-        lag = () if self.lag is None else (self.lag,)
-        return self.models.identity((self.span, self.lines, self.gap, self.process.max_step, *lag))
+        """Hashes of everything that determines estimates except start and readings."""
+        limits = {"window": self.span, "lines": self.lines, "gap": self.gap, "lag": self.lag}
+        return self.models.identity({**limits, "step": self.process.max_step})
 
     def _others(self, path: str | Path, notes: Mapping[str, str], time: float) -> str:
         """Return an error message for a saved state with different settings; "" if they are equal."""
         if notes["of"] != self.identity:
-            return (
-                "state: expected a state saved with this model, process noise, gate, sensors and window; "
-                f"received {path}, saved with different settings. Repeat the original command, or remove "
-                "both files"
-            )
+            return refusal(path, notes["of"], self.identity)
         if notes["controls"] != self.controls.hash_before(time):
             return (
                 f"controls: expected the controls stored in {path} up to time {time:g}; received different "

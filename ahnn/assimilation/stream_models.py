@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, cast
 
 import torch
 from torch import Tensor
 
+from ahnn.assimilation.stream_identity import identity
 from ahnn.assimilation.stream_sensor import StreamSensor, plain
 from ahnn.estimation import EstimatorState, Gate, Innovation, Status
 from ahnn.estimation.covariances import Covariance
@@ -42,14 +41,13 @@ class StreamModels:
         self.process = process if self.errors is None else self.errors.process(process)
         self.seen = {name: self._seen(name, sensor) for name, sensor in self.sensors.items()}
 
-    def identity(self, numbers: Sequence[float]) -> str:
-        """Return a hash (32 hexadecimal digits) of what determines estimates except start and readings."""
+    def identity(self, limits: Mapping[str, float | None]) -> str:
+        """Return the identity of all that determines estimates except start and readings."""
         sensors = {
-            name: [plain(one.measurement), one.deviations, *(one.biases or ())]
+            f"sensor {name}": [plain(one.measurement), one.deviations, *(one.biases or ())]
             for name, one in self.sensors.items()
         }
-        content = json.dumps([self.process.about, sensors, numbers], sort_keys=True)
-        return hashlib.blake2b(content.encode(), digest_size=16).hexdigest()
+        return identity({**self.process.about, **sensors, **limits})
 
     def at_fault(
         self,

@@ -117,7 +117,9 @@ def test_a_bad_header_leaves_nothing_behind(tmp_path, text):
 def test_states_of_others_and_damaged_ones_are_refused(tmp_path):
     names = tmp_path / "out.csv", tmp_path / "state"
     session(TEXT, *names).run()
-    with pytest.raises(UserError, match="saved with this model, process noise, gate, sensors and window"):
+    with pytest.raises(
+        UserError, match=r"saved with different values of window. Repeat the original command"
+    ):
         session(TEXT, *names, window=3.0)
     with pytest.raises(UserError, match=r"start: expected the 7 objects of .* received different objects"):
         session(TEXT, *names, names=NAMES[:3])

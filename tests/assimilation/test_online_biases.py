@@ -61,7 +61,7 @@ def test_a_stream_with_biases_is_saved_and_goes_on_bit_for_bit(tmp_path):
     for one, told in zip(found[9:], expected[9:], strict=True):
         assert torch.equal(again.update(one).mean, told.mean)
     for other in (make(), make(bias_memory=30.0, bias_sd=2.0)):
-        with pytest.raises(UserError, match="expected a state saved with this model"):
+        with pytest.raises(UserError, match="saved with different values of sensor ruler"):
             other.load(tmp_path / "a.state")
 
 
