@@ -66,6 +66,20 @@ def test_bands_that_are_too_narrow_are_refused_and_right_ones_are_not(width, ver
     assert "ranks: too few draws to tell" in rank_table(scores(3))
 
 
+def test_draws_whose_training_ended_early_are_also_left_out():
+    made = scores(20)
+    assert "without them" not in rank_table(made)
+    for one in made[:3]:
+        one["uncertainty"] |= {"remaining": 5.0, "determined": 4.0, "coverage": [0.0, 0.5, 1.0]}
+    made[3]["uncertainty"] |= {"remaining": 3.0, "determined": 4.0}
+    every, _, rest = rank_table(made).partition(
+        "3 of 20 training runs warn that they ended before their optimum"
+    )
+    assert "states                    51.0, 84.0, 100.0 %" in every
+    assert "states                    60.0, 90.0, 100.0 %" in rest
+    assert "bands of states, 17 draws: errors along 170 independent directions" in rest
+
+
 def test_a_mean_of_fractions_has_the_standard_error_of_independent_draws():
     """Of 0.9 and 1.0: mean 0.95, deviation 0.0707, divided by the root of two."""
     found = share_line([[0.6, 0.9, 1.0], [0.8, 1.0, 1.0]])

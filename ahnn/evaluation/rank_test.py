@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from ahnn.evaluation import style
 from ahnn.evaluation.independent_directions import DirectionTest, together
+from ahnn.uncertainty.posterior import is_unfinished
 
 TIMES = ("a quarter", "half", "the end")
 PARTS = ("a fifth", "two fifths", "the end")
@@ -56,11 +57,25 @@ def rank_table(scores: Sequence[Score]) -> str:
     enough = "uniform" if len(scores) >= DRAWS else "too few draws to tell"
     verdict = enough if least * len(every) >= REFUSED else "not uniform"
     lines.append(f"ranks: {verdict}, smallest p {least:.2g} in {len(every)} tests")
-    lines.append(f"within 1, 2 and 3 sigma, all trajectories, mean over {len(scores)} draws:")
+    lines += band_lines(scores)
+    ended = [one for one in scores if not is_unfinished(one["uncertainty"])]
+    if 0 < len(ended) < len(scores):
+        lines.append(
+            f"{len(scores) - len(ended)} of {len(scores)} training runs warn that they ended before their "
+            "optimum; without them:"
+        )
+        lines += band_lines(ended)
+    return "\n".join(lines)
+
+
+def band_lines(scores: Sequence[Score]) -> list[str]:
+    """Return lines on the coverage and the width of the bands of some draws."""
+    draws = f"{len(scores)} draws"
+    lines = [f"within 1, 2 and 3 sigma, all trajectories, mean over {draws}:"]
     lines += [f"  {name:<26}{share_line(rows)}" for name, rows in coverages(scores).items()]
     tests = [one["uncertainty"]["test"] for one in scores]
     every_draw = together([DirectionTest(test["directions"], test["scatter"]) for test in tests])
-    return "\n".join([*lines, f"bands of states, all draws: {every_draw.sentence()}"])
+    return [*lines, f"bands of states, {draws}: {every_draw.sentence()}"]
 
 
 def coverages(scores: Sequence[Score]) -> dict[str, list[Sequence[float]]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -67,14 +68,10 @@ class Uncertainty:
 
     @property
     def unfinished(self) -> str:
-        """Warning about a training that ended before its optimum; "" if its bands are meaningful.
-
-        Noise contributes 1 to the squared length of the error for each determined parameter. If the squared
-        remaining step, which is only a linear estimate, exceeds their number, it dominates the band.
-        """
-        remaining, determined = (self.about.get(name, 0.0) for name in ("remaining", "determined"))
-        if remaining <= determined:
+        """Warning about a training that ended before its optimum; "" if its bands are meaningful."""
+        if not is_unfinished(self.about):
             return ""
+        remaining, determined = self.about["remaining"], self.about["determined"]
         return (
             f"the training ended before its optimum: the remaining step is {remaining**0.5:.2g} standard "
             f"deviations long (noise alone: {determined**0.5:.2g}), so its bands are too wide or void. "
@@ -97,6 +94,15 @@ class Uncertainty:
         offset = self.offset.new_zeros(size).index_copy(0, places, self.offset)
         here = {"factor": factor, "offset": offset, "directions": None, "step": None}
         return wide, replace(self, **here, before=dynamics, tangent=(tangent(dynamics, wide, places), self))
+
+
+def is_unfinished(about: Mapping[str, Any]) -> bool:
+    """Return whether a training ended before its optimum, from the numbers that describe its covariance.
+
+    Noise contributes 1 to the squared length of the error for each determined parameter. If the squared
+    remaining step, which is only a linear estimate, exceeds their number, it dominates the band.
+    """
+    return bool(about.get("remaining", 0.0) > about.get("determined", 0.0))
 
 
 def save_uncertainty(folder: Path, uncertainty: Uncertainty, state: dict[str, Tensor]) -> None:
