@@ -28,7 +28,7 @@ def lock(file: IO[Any], *, wait: bool = True) -> None:
         return
     import msvcrt
 
-    windows: Any = msvcrt  # other systems' type checkers do not know its content
+    windows: Any = msvcrt  # type checkers on other systems do not know its contents
     descriptor = file.fileno()
     place = os.lseek(descriptor, 0, os.SEEK_CUR)
     try:

@@ -32,8 +32,8 @@ def refusal(path: Any, saved: str, own: str) -> str:
     """Return the message that refuses a saved state whose settings differ."""
     return (
         f"state: expected a state with the settings of this command; received {path}, saved with different "
-        f"values of {differences(saved, own)}. Repeat the original command, or remove the state and its output "
-        "to start over"
+        f"values of {differences(saved, own)}. Repeat the original command, or remove the state and its "
+        "output to start over"
     )
 
 

@@ -77,7 +77,9 @@ def run_missing(
                     said = text
                 if text.startswith(REPORT):
                     log.info("%s", text)
-        if child.wait() < SIGNALLED and not said.startswith(REPORT):  # stops by signal are reported elsewhere
+        if child.wait() < SIGNALLED and not said.startswith(
+            REPORT
+        ):  # termination by a signal is reported elsewhere
             log.info("%s", said)
         return child.returncode == 0
 

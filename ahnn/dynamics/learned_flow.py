@@ -114,7 +114,7 @@ def _again(flow: HamiltonianDynamics) -> LearnedFlow | HamiltonianDynamics:
 
 @torch.no_grad()
 def learned_flow(flow: Any) -> LearnedFlow | None:
-    """Return the flow of dynamics in C; None without the library or for dynamics that it does not support."""
+    """Return a flow in C of the dynamics; None if the library is unavailable or does not support them."""
     if type(flow) is not HamiltonianDynamics or flow.clock:
         return None
     if not all(plain(part.data, torch.float64) for part in (*flow.parameters(), *flow.buffers())):

@@ -62,7 +62,7 @@ class _Recorded:
         self._known: dict[torch.Size, Callable[[Tensor, Tensor], Tensor]] = {}
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_known": {}}  # recordings cannot be copied, and are made again
+        return {**vars(self), "_known": {}}  # recordings cannot be copied, so they are made again
 
     def transition(self, x: Tensor, dt: TimeStep) -> tuple[Tensor, Tensor]:
         """Return the states (B, D) after dt, and the state transitions (B, D, D)."""

@@ -29,7 +29,8 @@ def backward_law(joint: Tensor) -> tuple[Backward, Tensor | None]:
         joint: (B, 2 D, 2 D) lower factor of the covariance of the states after and before, in this order.
 
     Returns:
-        The distribution, and the mask of members with singular P, (B,) bool; None if no member has one.
+        The distribution, and a (B,) bool mask of the members whose P is singular; the mask is None if there
+        are none.
     """
     size = joint.shape[-1] // 2
     chol_next, cross, chol_given = joint[:, :size, :size], joint[:, size:, :size], joint[:, size:, size:]

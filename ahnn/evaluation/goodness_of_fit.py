@@ -90,7 +90,7 @@ def fit_to(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") -
     """Fit initial states to measurements; return them and the steps of their paths.
 
     Args:
-        dynamics: float64 dynamics with a method `increment`.
+        dynamics: float64 dynamics with an `increment` method.
         segment: measurements not used in training.
         robust: robust loss of residuals; unused for Student's noise, which has its own likelihood.
     """
@@ -128,7 +128,7 @@ def explain(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") 
     """Compute the goodness of fit, with each trajectory starting from its best initial state.
 
     Args:
-        dynamics: float64 dynamics with a method `increment`.
+        dynamics: float64 dynamics with an `increment` method.
         segment: measurements not used in training.
         robust: robust loss of the training; with one, outliers are excluded.
     """

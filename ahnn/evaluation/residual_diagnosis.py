@@ -32,7 +32,7 @@ def remedy(dynamics: nn.Module, segment: Segment, robust: RobustName) -> str:
     """Diagnose the residuals of robustly fitted paths, with remedies; "" without a finding.
 
     Args:
-        dynamics: float64 dynamics with a method `increment`.
+        dynamics: float64 dynamics with an `increment` method.
         segment: measurements not used in training.
         robust: robust loss of the training.
     """

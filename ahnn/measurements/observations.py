@@ -11,7 +11,7 @@ class Observations(NamedTuple):
     """Measurements of B trajectories, padded to a common number of rows.
 
     Attributes:
-        values: (B, T, M) float64; NaN where missing, also for individual components.
+        values: (B, T, M) float64; NaN where missing; single components may be missing.
         times: (B, T) float64, increasing in each row; NaN beyond the end of a shorter one.
     """
 

@@ -21,7 +21,7 @@ def every(measurements: Numbers, k: int) -> Tensor:
     """
     # The remainder of NaN is NaN, so NaN is rejected too.
     if k < 1 or k % 1 != 0:
-        message = f"every: expected a cadence of a whole number of steps, at least 1; received {k}"
+        message = f"every: expected a whole number of steps, at least 1; received {k}"
         raise ValueError(message)
     rows = _rows(measurements, "every")
     step = torch.arange(1, rows.shape[1] + 1, device=rows.device)

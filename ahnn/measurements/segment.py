@@ -46,7 +46,7 @@ class Segment(NamedTuple):
     """Batch of measurement segments with K intervals each and unknown states.
 
     Attributes:
-        values: (B, K + 1, M); NaN where missing, also for individual components.
+        values: (B, K + 1, M); NaN where missing; single components may be missing.
         times: (B, K + 1), increasing in each row.
         instrument: instrument of the measurements.
     """

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 SWEEPS = 10
-"""Maximum number of exchanges of each measurement."""
+"""Maximum number of times that each measurement is exchanged."""
 MARGIN = 1e-6
 """Minimum relative gain of an exchange, above rounding errors."""
 

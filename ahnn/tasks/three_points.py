@@ -43,7 +43,7 @@ def double_pendulum(constants: list[float]) -> System:
 def draw(k: int, *, form: Callable[[list[float]], System], constants: list[float]) -> Draw:
     """Draw noisy trajectories of four samples; the score is the error of the flow from other starts.
 
-    The floor is the error of the true form with constants fitted to the training trajectories.
+    The floor is the error of the true functional form with its constants fitted to the training trajectories.
     """
     system, generator = form(constants), numbers(k)
     flow, size = exact_flow(system), 2 * system.dof

@@ -85,7 +85,7 @@ class EarthRotation:
         """Return the matrices from GCRF to ITRF at times (T,), shape (T, 3, 3)."""
         measured = self._measured(times)
         tt, fraction = terrestrial(self.epoch, times, "UTC")
-        # Instants are in TAI - 10 s, like all epochs that include the leap seconds since 1972.
+        # Instants are in TAI - 10 s, like all epochs: leap seconds since 1972 are elapsed time.
         ut1 = fraction + (TT_TO_TAI - 10 - measured[:, 0]) / epochs.DAY
         angle = self._erfa.era00(tt, ut1)
         polar = self._erfa.pom00(measured[:, 1], measured[:, 2], self._erfa.sp00(tt, fraction))

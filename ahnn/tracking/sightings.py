@@ -52,7 +52,7 @@ class Sightings:
         measurement: measurement model of the stations named in the files, side by side.
 
     Raises:
-        UserError: a file that cannot be read, an unknown station, or no measurement with a stated noise.
+        UserError: a file that cannot be read, an unknown station, or no measurement whose noise is specified.
     """
 
     truth: System | None = None

@@ -187,8 +187,9 @@ class Noise(NamedTuple):
 def scatter(sums: Tensor, degrees: Tensor) -> float:
     """Estimate the variance of a residual's contribution to the sum from the sums of segments.
 
-    For squares of normal residuals of variance v it is 2 v^2, the lower limit of the result, since a few
-    segments may agree by chance. Outliers make it several times larger, even with a robust loss.
+    For squares of normally distributed residuals of variance v it is 2 v^2. The result is never smaller,
+    because a few segments may agree by chance. Outliers make it several times larger, even with a robust
+    loss.
 
     Args:
         sums: sums of segments, (B,).

@@ -44,7 +44,7 @@ def require_resumable(path: Path, model: Any, trainer: Any) -> None:
 def require_restorable(who: str, model: Any, trainer: Any, content: dict[str, Any]) -> None:
     """Restore a checkpoint into copies and take a step, after comparing all tensors.
 
-    Fused kernels do not check shapes: a wrong shape overwrites other memory.
+    Fused kernels do not check shapes: a wrong shape would write out of bounds.
 
     Args:
         who: name of the checkpoint, for messages.

@@ -104,7 +104,7 @@ def sampled_rollouts(
     increment = parametrised(dynamics, dynamics.increment, theta.dtype)
 
     def moved(draw: Tensor, x: Tensor, dt: Tensor) -> Tensor:
-        # J times the draw is the derivative of u -> u^T J: reverse mode applied twice handles any operation.
+        # J times the draw is the gradient of u -> (u^T J) draw: two reverse modes support any operation.
         pair: Any = vjp(lambda parameters: increment(parameters, x, dt), theta)
         _, change = cast(Any, vjp(lambda u: pair[1](u)[0], torch.zeros_like(x)))
         return x + pair[0] + change(draw)[0]

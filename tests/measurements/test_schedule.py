@@ -38,7 +38,7 @@ def test_schedule_hits_every_measurement():
 
 @pytest.mark.parametrize("k", [0, -3, 2.5, math.nan, math.inf])
 def test_a_cadence_is_a_whole_number_of_steps(k):
-    with pytest.raises(ValueError, match=f"every: expected a cadence of a whole number .* received {k}"):
+    with pytest.raises(ValueError, match=f"every: expected a whole number of steps.* received {k}"):
         every(ROWS, k)
 
 

@@ -56,7 +56,7 @@ def sgp4_content(
         file: file name, for messages.
         span: sampling interval and duration of each trajectory, in seconds.
         weighed: whether a mass is stated.
-        named: name of the elements in messages.
+        named: name used for the elements in messages.
         expected: expected content, for the message about a file without elements.
         unused: remark on fields not needed by SGP4.
         note: callback for elements that are damaged or cannot be propagated.

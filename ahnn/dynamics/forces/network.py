@@ -47,8 +47,8 @@ class NetworkForce(Force):
         sizes = {"t": 1, "u": controls, "q": dof, "v": dof}
         if not sees or len({*sees}) < len(sees):
             message = (
-                "network force: expected `sees` with one or more of q, v, t and u, each once; received "
-                f"{sees}"
+                "network force: expected `sees` to name at least one of q, v, t and u, none of them twice; "
+                f"received {sees}"
             )
             raise UserError(message)
         self.sees = [name for name in sizes if name in sees]

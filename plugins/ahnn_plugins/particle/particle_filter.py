@@ -92,7 +92,7 @@ class ParticleFilter(SampleFilter):
             raise UserError(message)
         h = self.bandwidth
         if h is not None and (not isinstance(h, int | float) or not 0.0 <= h < 1.0):
-            message = f"bandwidth: expected null or a number from 0 to below 1; received {h!r}"
+            message = f"bandwidth: expected null or a number in [0, 1); received {h!r}"
             raise UserError(message)
         if self.proposal not in get_args(Proposal):
             message = f"proposal: expected one of {', '.join(get_args(Proposal))}; received {self.proposal!r}"

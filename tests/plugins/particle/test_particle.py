@@ -227,7 +227,7 @@ def test_its_gate_ends_a_member_that_refuses_too_much():
 WRONG = {
     "particles: expected a whole number >= 2; received 1": {"particles": 1},
     "resample_below: expected a number from 0 to 1; received 2": {"resample_below": 2},
-    "bandwidth: expected null or a number from 0 to below 1; received 1": {"bandwidth": 1},
+    "bandwidth: expected null or a number in [0, 1); received 1": {"bandwidth": 1},
     "stages: expected a whole number >= 1; received 0": {"stages": 0},
     "seed: expected a whole number from 0": {"seed": 2**63},
 }
