@@ -118,7 +118,7 @@ def adapted(damping: float, gain: float, rise: float, accepted: bool) -> float:
     """Return the damping after a step.
 
     Args:
-        damping: multiple of the scaled diagonal that is added to J^T J.
+        damping: damping of the last step, relative to the diagonal of J^T J.
         gain: ratio of actual to predicted decrease.
         rise: relative change of the loss on held-out windows.
         accepted: whether the step was taken.
