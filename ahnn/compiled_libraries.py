@@ -128,7 +128,7 @@ def _built(source: Path, command: list[str]) -> ctypes.CDLL:
         _compile([*command, "-o", str(made), str(source), "-lm"])
         content = read_whole(made, LARGEST)
         if own:
-            with contextlib.suppress(OSError):  # e.g. a full disk: then only this process uses the library
+            with contextlib.suppress(OSError):  # e.g. a full disk: the library serves this process only
                 write_cached(path, content + _seal(content, key))
         return ctypes.CDLL(str(made))
 

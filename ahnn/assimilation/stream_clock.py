@@ -50,7 +50,7 @@ class StreamClock(NamedTuple):
             return time
         if self.zero is None:
             message = (
-                "epoch: expected the epoch of time zero, since the measurements have epochs, such as "
+                "epoch: expected the epoch of time zero, since the measurements have epochs, for example "
                 f"{cell[:40]}; received none. Add epoch="
             )
             raise UserError(message)

@@ -33,7 +33,7 @@ LIMIT = 1e-3
 
 
 class Rounding(NamedTuple):
-    """Amplification of rounding by a kernel.
+    """Amplification of rounding errors by a kernel.
 
     Attributes:
         crowding: (B or 1, ...) amplification of rounding in means, 0 for members where it is negligible; None

@@ -46,7 +46,7 @@ class NoiseEstimate:
     Attributes:
         deviations: standard deviations.
         stated: stated values; empty if not estimated.
-        fractions: coloured fractions of the variance; empty if not estimated.
+        fractions: fractions of the variance that are coloured noise; empty if not estimated.
         memories: time constants of the coloured part.
         bias: offset of readings from the true values; empty if not estimated.
         bias_sd: standard deviations of the bias.

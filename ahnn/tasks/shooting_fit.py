@@ -29,7 +29,7 @@ def fitted_start(predict: Predict, observed: Tensor, dt: float, horizons: Sequen
         predict: model.
         observed: noisy states every dt, in units of equal noise.
         dt: time between samples.
-        horizons: number of samples of each fit; the last is T.
+        horizons: numbers of samples used in each fit; the last is T.
     """
     start = observed[0]
     for samples in horizons:

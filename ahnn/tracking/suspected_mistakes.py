@@ -64,7 +64,7 @@ class Turned(NamedTuple):
 def suspected_mistakes(
     problem: OrbitProblem, point: LinearisedOrbit | None, rotation: EarthRotation
 ) -> list[str]:
-    """Return sentences on suspected mistakes; none if the residuals are noise.
+    """Return messages about suspected mistakes; none if the residuals are noise.
 
     Args:
         problem: fitted problem.

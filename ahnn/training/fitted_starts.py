@@ -107,7 +107,7 @@ class AboutSamples:
         if not has_field(dynamics) or isinstance(batch.dt, Tensor):
             received = "steps that differ" if isinstance(batch.dt, Tensor) else type(dynamics).__name__
             message = (
-                "loss.objective: expected dynamics with a field and equal steps for fitted_starts; received "
+                "loss.objective: fitted_starts expects dynamics with a field and equal steps; received "
                 f"{received}. Use loss=recursive"
             )
             raise UserError(message)

@@ -128,7 +128,7 @@ def step_seconds(model: Any, data: WindowDataModule, objective: Objective) -> fl
             loss.backward()
             optimizer.step()
 
-    # A fraction of the segments may leave no equations once the initial states are eliminated.
+    # If few segments are used, no equations may remain once the initial states are eliminated.
     if data.stages is not None:
         return _median(lambda: step(1.0), TRIALS)
     return _of_whole(step, TRIALS)

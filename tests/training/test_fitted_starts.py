@@ -118,7 +118,7 @@ def test_harmonics_are_found_from_starts_that_are_wrong():
 def test_unequal_steps_and_maps_without_a_field_are_refused():
     model = dynamics(PULL)
     batch = windows(model, torch.zeros(2, STEPS + 1, 6, **DOUBLE))
-    with pytest.raises(UserError, match=r"equal steps for fitted_starts; received steps that differ"):
+    with pytest.raises(UserError, match=r"equal steps; received steps that differ"):
         objective(model).residuals(model, batch._replace(dt=torch.full((2, STEPS), DT)))
     network = {"width": 5, "depth": 1, "activation": "tanh"}
     direct = make_dynamics("map", dof=3, scaling="none", residual=True, network=network).double()

@@ -57,7 +57,7 @@ def write_oem(path: str | Path, ephemerides: Iterable[Ephemeris], originator: st
 
     Args:
         path: path of the file, in XML if it ends in .xml, otherwise in keyword = value notation.
-        ephemerides: ephemerides, one per segment.
+        ephemerides: one ephemeris per segment.
         originator: originator of the message.
     """
     notation = oem_xml if Path(path).suffix.lower() == ".xml" else oem

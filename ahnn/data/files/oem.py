@@ -120,7 +120,7 @@ def written(ephemerides: Iterable[Ephemeris], originator: str = "ahnn", created:
     """Format a message of version 2.0, with 16 digits per number, i.e. full precision.
 
     Args:
-        ephemerides: ephemerides, one per segment.
+        ephemerides: one ephemeris per segment.
         originator: originator of the message.
         created: epoch of the message in UTC; None for now.
     """

@@ -94,7 +94,7 @@ def gradient(cosines: Coefficients, sines: Coefficients) -> list[tuple[Coefficie
     scale = np.where(below, (2 * n + 1) / (2 * n + 3), 0.0)
     falling = np.where(below, n - m + 1, 0.0)
     up, down, along = np.zeros((3, degrees + 1, orders + 1), dtype=np.complex128)
-    # Half of each neighbour; but all of it for order 0, whose two neighbours are complex conjugates.
+    # Half of each neighbour, but all of it for order 0, whose two neighbours are complex conjugates.
     up[1:, 1:] = -c * np.sqrt(scale * (n + m + 1) * (n + m + 2)) * np.where(m == 0, 0.5**0.5, 0.5)
     lower = 0.5 * c.conj() * np.sqrt(scale * falling * (falling + 1)) * np.where(m == 1, 2**0.5, 1)
     down[1:, : orders - 1] = lower[:, 1:]

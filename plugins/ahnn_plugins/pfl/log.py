@@ -1,4 +1,4 @@
-"""Log of every decision with its numbers, one JSON line each, and its replay.
+"""Log of the decisions with the values behind them, one JSON line each, and the replay of a log.
 
 The first line of a fit contains the settings. Each further line contains one epoch: its loss, the reference
 losses known at that time (at most `top_k`) and the decision. Non-finite numbers are strings, so that each

@@ -63,7 +63,7 @@ def grid_html(grid: Grid) -> Markup:
 
 
 def _heads(row: tuple[Head, ...], words: list[bool]) -> Markup:
-    """Return a row of headings; left-aligned over text columns."""
+    """Return a row of headings, left-aligned over text columns."""
     cells, column = [], 0
     for head in row:
         kind = "words" if head.span == 1 and words[column : column + 1] == [True] else None

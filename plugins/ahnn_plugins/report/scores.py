@@ -39,7 +39,7 @@ class Board(NamedTuple):
 
     Attributes:
         system: system name.
-        groups: runs of each model, in the paper's order, followed by all other models.
+        groups: runs grouped by model, first the models of the paper in its order, then all others.
         estimator: estimator of filtered rows, or None.
     """
 

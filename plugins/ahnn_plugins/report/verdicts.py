@@ -51,7 +51,7 @@ class Evidence(NamedTuple):
     Attributes:
         demand: demand under test.
         ratio: ratio of the runs, with confidence interval; None if a score is missing.
-        refuted: whether the ratio lies outside the demanded interval, at the required confidence.
+        refuted: whether the ratio lies outside the required interval, at the required confidence.
         runs: number of runs behind numerator and denominator.
         paper: ratio of the paper's printed numbers, or None.
     """
@@ -69,7 +69,7 @@ class Evidence(NamedTuple):
 
     @property
     def supported(self) -> bool:
-        """Whether the paper's own ratio lies within the demanded interval."""
+        """Whether the paper's own ratio lies within the required interval."""
         return self.paper is not None and self.demand.low <= self.paper <= self.demand.high
 
 

@@ -1,4 +1,4 @@
-"""Backward laws of the unscented Rauch-Tung-Striebel smoother (Särkkä 2008) on factors."""
+"""Backward distributions of the unscented Rauch-Tung-Striebel smoother (Särkkä 2008), in square-root form."""
 
 from __future__ import annotations
 
