@@ -38,6 +38,11 @@ def test_no_checkpoint_ever_holds_weights_that_are_not_finite(tmp_path, capsys, 
         assert read_checkpoint(tmp_path / "checkpoints" / "last.ckpt")["global_step"] == kept
 
 
+def latest_rollout(path):
+    (state,) = (v for k, v in read_checkpoint(path)["callbacks"].items() if "ValidationRollout" in k)
+    return state["latest"]
+
+
 def curve(folder, name):
     events = EventAccumulator(str(folder / "tensorboard"))
     events.Reload()
@@ -53,12 +58,14 @@ def test_a_short_training_has_curves_with_a_gradient_that_is_not_zero(tmp_path, 
         values = curve(tmp_path, name)
         assert len(values) >= 8
         assert all(value > 0 for value in values)
+    rollouts = curve(tmp_path, "val/rollout")
+    assert len(rollouts) == 2
+    assert rollouts[-1] == pytest.approx(latest_rollout(tmp_path / "checkpoints" / "last.ckpt"), rel=1e-6)
 
 
 def test_rollouts_of_some_epochs_choose_among_these_and_the_last(tmp_path):
     changes = ["callbacks.rollout.every=2", "trainer.max_epochs=3"]
     assert call("ahnn.train", *LAPTOP, *changes, f"run={tmp_path}") == 0
-    best = read_checkpoint(tmp_path / "checkpoints" / "best.ckpt")
-    assert best["epoch"] in (1, 2)
-    (state,) = (v for k, v in best["callbacks"].items() if "ValidationRollout" in k)
-    assert 0 < state["latest"] < math.inf
+    path = tmp_path / "checkpoints" / "best.ckpt"
+    assert read_checkpoint(path)["epoch"] in (1, 2)
+    assert 0 < latest_rollout(path) < math.inf

@@ -46,7 +46,7 @@ def test_records_wait_and_are_written_in_their_order_with_their_steps(trainer: A
     watch, written = Telemetry(every=2), trainer.loggers[0].written
     record(watch, trainer, range(1, 10))
     assert written == expected(range(2, 3))
-    watch.on_validation_epoch_end(trainer, cast(Any, None))
+    watch.on_validation_end(trainer, cast(Any, None))
     assert written == [*expected(range(2, 10, 2)), (9, {"val/loss": 3.0})]
 
 

@@ -76,8 +76,8 @@ class Telemetry(Callback):
             if time.monotonic() >= self._due:
                 self._write(trainer)
 
-    def on_validation_epoch_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
-        """Record the validation metrics."""
+    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        """Record the validation metrics, which are complete after the callbacks of the epoch's end."""
         del pl_module
         metrics = {key: float(value) for key, value in trainer.callback_metrics.items() if "val/" in key}
         self._waiting.append((trainer.global_step, metrics))
