@@ -19,6 +19,7 @@ from ahnn.data.files import Files, instant, units
 from ahnn.data.files.epochs import SECOND
 from ahnn.data.files.kinds import holds_mean_elements, kind_of
 from ahnn.data.files.raw import content_of, decoded
+from ahnn.data.files.source import StartFiles
 from ahnn.data.reference import Reference
 from ahnn.data.start_covariances import covariances_of
 from ahnn.data.start_deviations import KINDS, deviations_of
@@ -208,7 +209,7 @@ def of_files(path: Path, space: Space, *, last: bool, weighed: bool) -> Starts:
     kind = kind_of(content_of(path), str(path))
     second = 1.0 if kind in ("elements", "omm") else None  # interval of the two samples propagated by SGP4
     last = last and second is None
-    files = Files("start", str(path), mass=space.mass, step=second, duration=second)
+    files = StartFiles("start", str(path), mass=space.mass, step=second, duration=second)
     if not files.momenta:
         require_velocities(space, f"start {path}")
     reference = Reference.of(files.space.frame)

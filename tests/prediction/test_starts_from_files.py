@@ -133,6 +133,21 @@ def test_element_sets_begin_where_sgp4_has_them():
     assert np.allclose(found.states[0], [*position, *velocity], rtol=1e-12, atol=0)
 
 
+@pytest.mark.parametrize("name", ["orbit.csv", "orbit.oem"])
+def test_a_start_that_the_program_wrote_causes_no_remarks_on_training(name, caplog):
+    caplog.set_level("INFO")
+    assert call("ahnn.predict", MOLNIYA, message(axes="EME2000"), *SHORT, f"output={name}") == 0
+    caplog.clear()
+    assert call("ahnn.predict", MOLNIYA, f"start={name}", *SHORT) == 0
+    assert "training" not in caplog.text
+    assert "name them" not in caplog.text
+    Path("orbit.csv").write_text("t,x,y,z,vx,vy,vz,note\n0,0,-3145,-6173,10,0,0,1\n")
+    names = "columns: {time: t, positions: [x, y, z], velocities: [vx, vy, vz]}\n"
+    Path("orbit.yaml").write_text(names)
+    assert call("ahnn.predict", MOLNIYA, "start=orbit.csv", *SHORT) == 0
+    assert "the sidecar does not name them: note" in caplog.text
+
+
 def test_what_a_prediction_wrote_is_a_start_with_its_frame_and_its_epoch():
     assert call("ahnn.predict", MOLNIYA, message(), *SHORT, "output=orbit.csv") == 0
     assert call("ahnn.predict", MOLNIYA, "start=orbit.csv", *SHORT, "output=again.oem") == 0
