@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from ahnn.arguments import Finite, Positive
+from ahnn.data.starts import Starts
 from ahnn.evaluation.terminal import show
 from ahnn.jobs.asked_starts import asked_starts
 from ahnn.jobs.control_times import moments_of
@@ -18,6 +20,7 @@ from ahnn.prediction.many_trajectories import finite_prediction, joined
 from ahnn.prediction.propagation import require_room
 from ahnn.prediction.summary import summary, warning
 from ahnn.progress import track
+from ahnn.runs import Run
 from ahnn.workers import Workers
 
 log = logging.getLogger("ahnn")
@@ -74,15 +77,27 @@ def predict(asked: PredictionRequest) -> None:
     else:
         parts = workers.map(predict_block, blocks)
     found, begin = finite_prediction(joined(parts).at(moments.chosen, times), begin, clock)
-    title = " + ".join(run.folder.name for run in runs)
+    title, from_numbers = " + ".join(run.folder.name for run in runs), not isinstance(asked.start, str)
+    remarks = [_of_the_start_only(begin, runs), warning(found, begin, space, from_numbers=from_numbers)]
+    remarks = [*filter(None, remarks)]
     if asked.output is not None:
-        output.write(Path(asked.output), found, begin, space)
+        output.write(Path(asked.output), found, begin, space, [*remarks, *_unfinished(runs)])
     if asked.figure is not None:
         output.draw(Path(asked.figure), found, space, title)
     show(summary(found, begin, space, title))
-    known = [run.uncertainty for run in runs if run.uncertainty is not None]
-    if begin.covariances is not None and len(known) < len(runs):
-        what = "the start" if len(runs) == 1 else "the start and the differences between the runs"
-        log.warning("1 sigma: from %s only; these weights carry no uncertainty in the dynamics", what)
-    if remark := warning(found, begin, space, from_numbers=not isinstance(asked.start, str)):
-        log.warning(remark)
+    for remark in remarks:
+        log.warning("%s", remark)
+
+
+def _of_the_start_only(begin: Starts, runs: Sequence[Run]) -> str | None:
+    """Return a remark on standard deviations without an uncertainty of the dynamics; None otherwise."""
+    if begin.covariances is None or all(run.uncertainty for run in runs):
+        return None
+    what = "the start" if len(runs) == 1 else "the start and the differences between the runs"
+    return f"1 sigma: from {what} only; these weights carry no uncertainty in the dynamics"
+
+
+def _unfinished(runs: Sequence[Run]) -> list[str]:
+    """Return the warnings about trainings that ended before their optimum, which loading has shown."""
+    known = [(run.folder.name, run.uncertainty.unfinished) for run in runs if run.uncertainty]
+    return [f"run {name}: {warned}" for name, warned in known if warned and len(known) == len(runs)]

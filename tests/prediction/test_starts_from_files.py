@@ -103,6 +103,25 @@ def test_the_covariance_of_the_first_state_goes_along_and_start_sd_takes_its_pla
     assert first("b.csv")["epoch"] == "2024-03-01T12:00:00.000"
 
 
+@pytest.mark.parametrize(("name", "told"), [("o.oem", "COMMENT "), ("o.xml", "<COMMENT>"), ("o.csv", "# ")])
+def test_whoever_receives_a_file_reads_the_warnings_about_its_bands(name, told):
+    slow = np.array([0.0, -3145.0, -6173.0, 9.0, 0.0, 0.0])
+    start = message(state=slow, axes="EME2000")
+    assert call("ahnn.predict", MOLNIYA, start, "duration=90min", "step=30min", f"output={name}") == 0
+    lines = Path("o.yaml" if name == "o.csv" else name).read_text().splitlines()
+    assert max(map(len, lines)) <= 254
+    remarks = " ".join(line.strip() for line in lines if line.strip().startswith(told))
+    assert f"{told}1 sigma: from the start only; these weights carry no uncertainty in the dyn" in remarks
+    assert f"{told}novelty: " in remarks
+    if name == "o.oem":
+        assert lines[0].startswith("CCSDS_OEM_VERS")
+        assert lines[1].startswith("COMMENT")
+    if name == "o.csv":
+        assert Files("again", name).epoch == NOON
+    else:
+        assert len(read_oem(name)[0].covariances) == 4
+
+
 def test_axes_along_the_orbit_are_turned_into_those_of_the_state():
     along = np.array([0.0, 7000.0, 0.0, -7.5, 0.0, 0.0])  # radial y, transverse -x
     start = message(state=along, axes="RTN")
