@@ -120,12 +120,12 @@ def in_frame(found: Starts, ours: Reference, space: Space, path: Path) -> Starts
             said = "start %s: the frame is %s; the model states no frame and is assumed to use the same one"
             log.warning(said, path, own.frame)
         return found
-    turn = matrices_to(frame, own, found.times, space, path)
+    turn = matrices_to(frame, own, found.times, space, f"start {path}")
     known, since, own = found.covariances, found.since, own._replace(frame=frame)
     states = (turn @ found.states.unsqueeze(-1)).squeeze(-1)
     at = turn
     if since is not None:
-        at = matrices_to(frame, found.reference, since[0], space, path)
+        at = matrices_to(frame, found.reference, since[0], space, f"start {path}")
         since = since[0], (at @ since[1].unsqueeze(-1)).squeeze(-1)
     known = None if known is None else at @ known @ at.mT
     return found._replace(states=states, reference=own, covariances=known, since=since)

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from ahnn.arguments import Finite, Positive
 from ahnn.data.starts import Starts
@@ -17,8 +17,9 @@ from ahnn.jobs.named import named_runs, opened
 from ahnn.jobs.predicting_blocks import blocks_of, predict_block
 from ahnn.prediction import durations, output
 from ahnn.prediction.many_trajectories import finite_prediction, joined
-from ahnn.prediction.propagation import require_room
+from ahnn.prediction.propagation import Prediction, require_room
 from ahnn.prediction.summary import summary, warning
+from ahnn.prediction.turned_prediction import turned_prediction
 from ahnn.progress import track
 from ahnn.runs import Run
 from ahnn.workers import Workers
@@ -39,6 +40,7 @@ class PredictionRequest:
     ckpt: str = "best"
     step: str | float | None = None
     output: str | None = None
+    output_frame: Literal["GCRF", "EME2000"] | None = None
     figure: str | None = None
     workers: int | str | None = None
     epoch: str | None = None
@@ -63,8 +65,10 @@ def predict(asked: PredictionRequest) -> None:
     step = runs[0].dt if asked.step is None else durations.duration(asked.step, "step", clock)
     times = durations.grid(total, step)
     moments = moments_of(asked.controls, begin, times, runs[0])
+    at_start = Prediction(begin.times.new_zeros(1), begin.states.unsqueeze(1))
+    _, aimed = turned_prediction(at_start, begin, asked.output_frame, space)  # a mistake costs no prediction
     if asked.output is not None:
-        output.require_output(Path(asked.output), begin, space)
+        output.require_output(Path(asked.output), aimed, space)
     if asked.figure is not None:
         output.require_figure(Path(asked.figure))
     if asked.output is not None and isinstance(asked.start, str):
@@ -77,6 +81,7 @@ def predict(asked: PredictionRequest) -> None:
     else:
         parts = workers.map(predict_block, blocks)
     found, begin = finite_prediction(joined(parts).at(moments.chosen, times), begin, clock)
+    found, begin = turned_prediction(found, begin, asked.output_frame, space)
     title, from_numbers = " + ".join(run.folder.name for run in runs), not isinstance(asked.start, str)
     remarks = [_of_the_start_only(begin, runs), warning(found, begin, space, from_numbers=from_numbers)]
     remarks = [*filter(None, remarks)]

@@ -187,7 +187,48 @@ def test_a_message_has_frame_and_epoch_of_the_data_that_were_learned(capsys):
     (found,) = read_oem("out.oem")
     assert (found.frame, found.time_system, found.epoch(0.0)) == ("GCRF", "TAI", "2026-01-01T00:00:00.000")
     assert call("ahnn.predict", f"run={run}", numbers, *SHORT, "output=out.oem", "frame=[EME2000]") == 2
-    assert "frame: expected GCRF, as in the model; received EME2000" in capsys.readouterr().err
+    assert (
+        "frame: expected GCRF, as in the model; received EME2000. Leave it out; ahnn.predict converts"
+        in capsys.readouterr().err
+    )
+
+
+@pytest.mark.parametrize("frame", ["GCRF", "EME2000"])
+def test_a_prediction_in_cirs_is_converted_with_its_covariances(frame):
+    run = framed(Path("run"), "CIRS, EARTH, UTC, from 2026-01-01T00:00:00.000")
+    start = message("CIRS", axes="CIRS")
+    for output, more in (("own.oem", []), ("out.oem", [f"output_frame={frame}"])):
+        assert call("ahnn.predict", f"run={run}", start, *SHORT, f"output={output}", *more) == 0
+    (own,), (found,) = read_oem("own.oem"), read_oem("out.oem")
+    assert (own.frame, found.frame, found.start) == ("CIRS", frame, NOON)
+    turned = Files("turned", "own.oem", frame=frame).read().states[0]
+    close(torch.from_numpy(found.states), turned, 1e-14)
+    for k in range(3):
+        r = turned[k, :3].numpy(), own.states[k, :3]
+        one, other = found.covariances[k].matrix[:3, :3], own.covariances[k].matrix[:3, :3]
+        assert r[0] @ one @ r[0] == pytest.approx(r[1] @ other @ r[1], rel=1e-9)
+        assert not np.allclose(one, other, rtol=1e-6)
+    erfa = pytest.importorskip("erfa")
+    tt = erfa.taitt(*erfa.utctai(*erfa.dtf2d("UTC", 2024, 3, 1, 12, 0, 0.0)))
+    turn = erfa.c2ixys(*erfa.xys06a(*tt)).T  # from CIRS to GCRF
+    turn = erfa.bp00(*tt)[0] @ turn if frame == "EME2000" else turn
+    assert np.allclose(found.states[0, :3], turn @ own.states[0, :3], rtol=1e-11, atol=0)
+
+
+def test_a_frame_that_cannot_be_converted_is_one_message(capsys):
+    numbers = f"start={STATE.tolist()}".replace(" ", "")
+    for more, said in (
+        ([], "received none. Name the frame of the model with frame="),
+        (["frame=[CIRS,EARTH,UTC]"], "output_frame: expected an epoch"),
+        (
+            ["frame=[TNW,EARTH,UTC]"],
+            "output_frame: expected a model in a frame of docs/frames.md; received TNW",
+        ),
+    ):
+        arguments = [numbers, *SHORT, "output=out.csv", "output_frame=GCRF", *more]
+        assert call("ahnn.predict", MOLNIYA, *arguments) == 2
+        assert said in capsys.readouterr().err
+        assert not Path("out.csv").exists()
 
 
 def test_what_is_not_finite_ends_with_code_3_and_writes_nothing(capsys):
