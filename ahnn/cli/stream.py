@@ -280,7 +280,7 @@ def turn_stations(nodes: Any, reference: Reference) -> None:
                 continue
             if found.get("earth_angle") is None:
                 found["earth_angle"] = earth_axes(reference)
-            elif known(reference.frame) and not isinstance(found.earth_angle, ListConfig):
+            elif known(reference.frame) not in ("", "CIRS") and not isinstance(found.earth_angle, ListConfig):
                 said = (
                     "%s.earth_angle turns the Earth about the z axis of %s, without precession and nutation"
                 )

@@ -89,7 +89,9 @@ class Reference(NamedTuple):
         for name in ("frame", "center"):
             ours, theirs = getattr(self, name), getattr(keys, name)
             if ours and theirs and alias(ours) != alias(theirs):
-                message = f"{name}: expected {ours}, as in the model; received {theirs}"
+                message = f"{name}: expected {ours}, as in the model; received {theirs}. Leave it out"
+                if name == "frame" and known(ours) and alias(theirs) in INERTIAL:
+                    message += f"; ahnn.predict converts predictions with output_frame={alias(theirs)}"
                 raise UserError(message)
         return keys.filled(self)
 

@@ -19,6 +19,7 @@ from ahnn.data.files import Files, instant, units
 from ahnn.data.files.epochs import SECOND
 from ahnn.data.files.kinds import holds_mean_elements, kind_of
 from ahnn.data.files.raw import content_of, decoded
+from ahnn.data.files.source import StartFiles
 from ahnn.data.reference import Reference
 from ahnn.data.start_covariances import covariances_of
 from ahnn.data.start_deviations import KINDS, deviations_of
@@ -119,12 +120,12 @@ def in_frame(found: Starts, ours: Reference, space: Space, path: Path) -> Starts
             said = "start %s: the frame is %s; the model states no frame and is assumed to use the same one"
             log.warning(said, path, own.frame)
         return found
-    turn = matrices_to(frame, own, found.times, space, path)
+    turn = matrices_to(frame, own, found.times, space, f"start {path}")
     known, since, own = found.covariances, found.since, own._replace(frame=frame)
     states = (turn @ found.states.unsqueeze(-1)).squeeze(-1)
     at = turn
     if since is not None:
-        at = matrices_to(frame, found.reference, since[0], space, path)
+        at = matrices_to(frame, found.reference, since[0], space, f"start {path}")
         since = since[0], (at @ since[1].unsqueeze(-1)).squeeze(-1)
     known = None if known is None else at @ known @ at.mT
     return found._replace(states=states, reference=own, covariances=known, since=since)
@@ -208,7 +209,7 @@ def of_files(path: Path, space: Space, *, last: bool, weighed: bool) -> Starts:
     kind = kind_of(content_of(path), str(path))
     second = 1.0 if kind in ("elements", "omm") else None  # interval of the two samples propagated by SGP4
     last = last and second is None
-    files = Files("start", str(path), mass=space.mass, step=second, duration=second)
+    files = StartFiles("start", str(path), mass=space.mass, step=second, duration=second)
     if not files.momenta:
         require_velocities(space, f"start {path}")
     reference = Reference.of(files.space.frame)

@@ -39,18 +39,21 @@ def results_table(results: Results, *, detail: bool = False) -> str:
 
     Args:
         results: results of the evaluation.
-        detail: whether to add all notes, pooled errors and errors per component instead of the verdict.
+        detail: whether to add all notes, pooled errors and errors per component to the first line of the
+            verdict, instead of its other lines.
     """
     head = f"{results.label} on {results.space.name}" + (f": {results.assumes}" if results.assumes else "")
     lines = table_lines(results.rows, results.label)
     parts = [*_wrapped(head), "", *_columns(lines, results), "", *_explanations(results)]
-    brief = None if detail else results.numbers.get("verdict")
-    if brief:
-        parts += ["", *(line for one in brief["findings"] for line in _wrapped(one, hanging=True))]
-        return "\n".join(parts)
-    for row in results.rows:
-        if row.note:
-            parts += _noted(described(row.who, results.label), row.note.splitlines())
+    verdict = results.numbers.get("verdict", {}).get("findings", [])
+    if verdict:
+        told = verdict[:1] if detail else verdict
+        parts += ["", *(line for one in told for line in _wrapped(one, hanging=True))]
+    if detail or not verdict:
+        head = verdict[0] if verdict else ""
+        for row in results.rows:
+            if findings := [line for line in row.note.splitlines() if line not in head]:
+                parts += _noted(described(row.who, results.label), findings)
     if detail:
         parts.append("")
         parts += [part for row in results.rows for part in _wrapped(_details(row, results), hanging=True)]
@@ -156,17 +159,23 @@ def _explanations(results: Results) -> Iterator[str]:
 
 
 def _details(row: Row, results: Results) -> str:
-    """Format those scores of a row that have no column in the table."""
-    space, names = results.space, results.space.components
+    """Format those scores of a row that have no column in the table; unmeasured components have none."""
+    space, names, scores = results.space, results.space.components, row.scores
     over = "/m" if space.mechanical else ""
     labels = [*names[: space.dof], *(name + over for name in names[space.dof :])]
-    parts = zip(labels, row.scores.components, strict=False)
-    (position, where), (velocity, how_fast) = (quantity(space, name) for name in QUANTITIES[:2])
-    components = ", ".join(f"{name} {number(value)}" for name, value in parts)
-    return (
-        f"{described(row.who, results.label)}: pooled {position} {number(row.scores.position_pooled)} "
-        f"{where}, pooled {velocity} {number(row.scores.velocity_pooled)} {how_fast}; components {components}"
-    )
+    known = [
+        f"{name} {number(value)}"
+        for name, value in zip(labels, scores.components, strict=False)
+        if not math.isnan(value)
+    ]
+    pooled = zip(QUANTITIES, (scores.position_pooled, scores.velocity_pooled), strict=False)
+    whole = [
+        " ".join(("pooled", what, number(value), unit))
+        for (what, unit), value in ((quantity(space, name), value) for name, value in pooled)
+        if not math.isnan(value)
+    ]
+    parts = [", ".join(whole), f"components {', '.join(known)}" if known else ""]
+    return f"{described(row.who, results.label)}: {'; '.join(filter(None, parts)) or 'no errors'}"
 
 
 def _noted(who: str, findings: list[str]) -> list[str]:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from ahnn.arguments import Finite, Positive
+from ahnn.data.starts import Starts
 from ahnn.evaluation.terminal import show
 from ahnn.jobs.asked_starts import asked_starts
 from ahnn.jobs.control_times import moments_of
@@ -15,9 +17,11 @@ from ahnn.jobs.named import named_runs, opened
 from ahnn.jobs.predicting_blocks import blocks_of, predict_block
 from ahnn.prediction import durations, output
 from ahnn.prediction.many_trajectories import finite_prediction, joined
-from ahnn.prediction.propagation import require_room
+from ahnn.prediction.propagation import Prediction, require_room
 from ahnn.prediction.summary import summary, warning
+from ahnn.prediction.turned_prediction import turned_prediction
 from ahnn.progress import track
+from ahnn.runs import Run
 from ahnn.workers import Workers
 
 log = logging.getLogger("ahnn")
@@ -36,6 +40,7 @@ class PredictionRequest:
     ckpt: str = "best"
     step: str | float | None = None
     output: str | None = None
+    output_frame: Literal["GCRF", "EME2000"] | None = None
     figure: str | None = None
     workers: int | str | None = None
     epoch: str | None = None
@@ -60,8 +65,10 @@ def predict(asked: PredictionRequest) -> None:
     step = runs[0].dt if asked.step is None else durations.duration(asked.step, "step", clock)
     times = durations.grid(total, step)
     moments = moments_of(asked.controls, begin, times, runs[0])
+    at_start = Prediction(begin.times.new_zeros(1), begin.states.unsqueeze(1))
+    _, aimed = turned_prediction(at_start, begin, asked.output_frame, space)  # a mistake costs no prediction
     if asked.output is not None:
-        output.require_output(Path(asked.output), begin, space)
+        output.require_output(Path(asked.output), aimed, space)
     if asked.figure is not None:
         output.require_figure(Path(asked.figure))
     if asked.output is not None and isinstance(asked.start, str):
@@ -74,15 +81,28 @@ def predict(asked: PredictionRequest) -> None:
     else:
         parts = workers.map(predict_block, blocks)
     found, begin = finite_prediction(joined(parts).at(moments.chosen, times), begin, clock)
-    title = " + ".join(run.folder.name for run in runs)
+    found, begin = turned_prediction(found, begin, asked.output_frame, space)
+    title, from_numbers = " + ".join(run.folder.name for run in runs), not isinstance(asked.start, str)
+    remarks = [_of_the_start_only(begin, runs), warning(found, begin, space, from_numbers=from_numbers)]
+    remarks = [*filter(None, remarks)]
     if asked.output is not None:
-        output.write(Path(asked.output), found, begin, space)
+        output.write(Path(asked.output), found, begin, space, [*remarks, *_unfinished(runs)])
     if asked.figure is not None:
         output.draw(Path(asked.figure), found, space, title)
     show(summary(found, begin, space, title))
-    known = [run.uncertainty for run in runs if run.uncertainty is not None]
-    if begin.covariances is not None and len(known) < len(runs):
-        what = "the start" if len(runs) == 1 else "the start and the differences between the runs"
-        log.warning("1 sigma: from %s only; these weights carry no uncertainty in the dynamics", what)
-    if remark := warning(found, begin, space, from_numbers=not isinstance(asked.start, str)):
-        log.warning(remark)
+    for remark in remarks:
+        log.warning("%s", remark)
+
+
+def _of_the_start_only(begin: Starts, runs: Sequence[Run]) -> str | None:
+    """Return a remark on standard deviations without an uncertainty of the dynamics; None otherwise."""
+    if begin.covariances is None or all(run.uncertainty for run in runs):
+        return None
+    what = "the start" if len(runs) == 1 else "the start and the differences between the runs"
+    return f"1 sigma: from {what} only; these weights carry no uncertainty in the dynamics"
+
+
+def _unfinished(runs: Sequence[Run]) -> list[str]:
+    """Return the warnings about trainings that ended before their optimum, which loading has shown."""
+    known = [(run.folder.name, run.uncertainty.unfinished) for run in runs if run.uncertainty]
+    return [f"run {name}: {warned}" for name, warned in known if warned and len(known) == len(runs)]

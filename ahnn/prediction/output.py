@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from ahnn.data.files import sidecar
@@ -50,19 +51,28 @@ def require_other(path: Path, start: Path) -> None:
         raise UserError(message)
 
 
-def write(path: Path, prediction: Prediction, starts: Starts, space: Space) -> None:
+def write(
+    path: Path, prediction: Prediction, starts: Starts, space: Space, remarks: Sequence[str] = ()
+) -> None:
     """Write a prediction.
+
+    Args:
+        path: path of the file.
+        prediction: prediction to write.
+        starts: names, times and reference of the starts.
+        space: description of the state components.
+        remarks: remarks on its bands, written as comments into the message or the sidecar.
 
     Raises:
         UserError: see `require_output`; or Parquet without pyarrow.
     """
     suffix = path.suffix.lower()
     if suffix in MESSAGES:
-        write_oem(path, ephemerides(prediction, starts, space))
+        write_oem(path, ephemerides(prediction, starts, space), comments=remarks)
         return
     found = columns(prediction, starts, space)
     write_atomically(path, as_csv(found) if suffix == ".csv" else as_parquet(found))
-    sidecar.write(path, described(starts, space))
+    sidecar.write(path, described(starts, space), remarks)
 
 
 def require_figure(path: Path) -> None:

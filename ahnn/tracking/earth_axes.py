@@ -32,7 +32,7 @@ def earth_axes(reference: Reference) -> float | list[list[float]]:
     """
     if reference.epoch is None:
         return 0.0
-    if (frame := known(reference.frame)) in ("", "ITRF"):
+    if (frame := known(reference.frame)) in ("", "ITRF", "CIRS"):
         if reference.frame != "CIRS":
             received = reference.frame or "none"
             message = (

@@ -108,6 +108,13 @@ def test_notes_and_details_stand_below():
     assert "components q 3.25, p/m 4.50" in detail
 
 
+def test_components_that_were_never_measured_have_no_error_in_the_details():
+    unseen = scores(1.5, None, (3.25, math.nan))._replace(velocity_pooled=math.nan)
+    detail = results_table(make_results(Row(MODEL, unseen)), detail=True)
+    assert "components q 3.25" in detail
+    assert "nan" not in detail.rpartition("pooled position")[2]
+
+
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252", "utf-8"])
 def test_any_encoding_can_show_it(monkeypatch, encoding):
     space = SPACE._replace(units=Units("s", "km", "km/s", "km²/s²"))

@@ -136,6 +136,8 @@ def test_a_training_that_ended_before_its_optimum_is_named_once(here, cache, cap
     assert "optimum" not in caplog.text
     assert call("ahnn.predict", "run=[other,one]", *arguments) == 0
     assert caplog.text.count("run one: the training ended before its optimum") == 1
+    assert call("ahnn.predict", "run=[other,one]", *arguments, "output=out.csv") == 0
+    assert (here / "out.yaml").read_text().count("# run one: the training ended before its optimum") == 1
 
 
 @pytest.mark.slow

@@ -103,6 +103,25 @@ def test_the_covariance_of_the_first_state_goes_along_and_start_sd_takes_its_pla
     assert first("b.csv")["epoch"] == "2024-03-01T12:00:00.000"
 
 
+@pytest.mark.parametrize(("name", "told"), [("o.oem", "COMMENT "), ("o.xml", "<COMMENT>"), ("o.csv", "# ")])
+def test_whoever_receives_a_file_reads_the_warnings_about_its_bands(name, told):
+    slow = np.array([0.0, -3145.0, -6173.0, 9.0, 0.0, 0.0])
+    start = message(state=slow, axes="EME2000")
+    assert call("ahnn.predict", MOLNIYA, start, "duration=90min", "step=30min", f"output={name}") == 0
+    lines = Path("o.yaml" if name == "o.csv" else name).read_text().splitlines()
+    assert max(map(len, lines)) <= 254
+    remarks = " ".join(line.strip() for line in lines if line.strip().startswith(told))
+    assert f"{told}1 sigma: from the start only; these weights carry no uncertainty in the dyn" in remarks
+    assert f"{told}novelty: " in remarks
+    if name == "o.oem":
+        assert lines[0].startswith("CCSDS_OEM_VERS")
+        assert lines[1].startswith("COMMENT")
+    if name == "o.csv":
+        assert Files("again", name).epoch == NOON
+    else:
+        assert len(read_oem(name)[0].covariances) == 4
+
+
 def test_axes_along_the_orbit_are_turned_into_those_of_the_state():
     along = np.array([0.0, 7000.0, 0.0, -7.5, 0.0, 0.0])  # radial y, transverse -x
     start = message(state=along, axes="RTN")
@@ -133,6 +152,21 @@ def test_element_sets_begin_where_sgp4_has_them():
     assert np.allclose(found.states[0], [*position, *velocity], rtol=1e-12, atol=0)
 
 
+@pytest.mark.parametrize("name", ["orbit.csv", "orbit.oem"])
+def test_a_start_that_the_program_wrote_causes_no_remarks_on_training(name, caplog):
+    caplog.set_level("INFO")
+    assert call("ahnn.predict", MOLNIYA, message(axes="EME2000"), *SHORT, f"output={name}") == 0
+    caplog.clear()
+    assert call("ahnn.predict", MOLNIYA, f"start={name}", *SHORT) == 0
+    assert "training" not in caplog.text
+    assert "name them" not in caplog.text
+    Path("orbit.csv").write_text("t,x,y,z,vx,vy,vz,note\n0,0,-3145,-6173,10,0,0,1\n")
+    names = "columns: {time: t, positions: [x, y, z], velocities: [vx, vy, vz]}\n"
+    Path("orbit.yaml").write_text(names)
+    assert call("ahnn.predict", MOLNIYA, "start=orbit.csv", *SHORT) == 0
+    assert "the sidecar does not name them: note" in caplog.text
+
+
 def test_what_a_prediction_wrote_is_a_start_with_its_frame_and_its_epoch():
     assert call("ahnn.predict", MOLNIYA, message(), *SHORT, "output=orbit.csv") == 0
     assert call("ahnn.predict", MOLNIYA, "start=orbit.csv", *SHORT, "output=again.oem") == 0
@@ -153,7 +187,48 @@ def test_a_message_has_frame_and_epoch_of_the_data_that_were_learned(capsys):
     (found,) = read_oem("out.oem")
     assert (found.frame, found.time_system, found.epoch(0.0)) == ("GCRF", "TAI", "2026-01-01T00:00:00.000")
     assert call("ahnn.predict", f"run={run}", numbers, *SHORT, "output=out.oem", "frame=[EME2000]") == 2
-    assert "frame: expected GCRF, as in the model; received EME2000" in capsys.readouterr().err
+    assert (
+        "frame: expected GCRF, as in the model; received EME2000. Leave it out; ahnn.predict converts"
+        in capsys.readouterr().err
+    )
+
+
+@pytest.mark.parametrize("frame", ["GCRF", "EME2000"])
+def test_a_prediction_in_cirs_is_converted_with_its_covariances(frame):
+    run = framed(Path("run"), "CIRS, EARTH, UTC, from 2026-01-01T00:00:00.000")
+    start = message("CIRS", axes="CIRS")
+    for output, more in (("own.oem", []), ("out.oem", [f"output_frame={frame}"])):
+        assert call("ahnn.predict", f"run={run}", start, *SHORT, f"output={output}", *more) == 0
+    (own,), (found,) = read_oem("own.oem"), read_oem("out.oem")
+    assert (own.frame, found.frame, found.start) == ("CIRS", frame, NOON)
+    turned = Files("turned", "own.oem", frame=frame).read().states[0]
+    close(torch.from_numpy(found.states), turned, 1e-14)
+    for k in range(3):
+        r = turned[k, :3].numpy(), own.states[k, :3]
+        one, other = found.covariances[k].matrix[:3, :3], own.covariances[k].matrix[:3, :3]
+        assert r[0] @ one @ r[0] == pytest.approx(r[1] @ other @ r[1], rel=1e-9)
+        assert not np.allclose(one, other, rtol=1e-6)
+    erfa = pytest.importorskip("erfa")
+    tt = erfa.taitt(*erfa.utctai(*erfa.dtf2d("UTC", 2024, 3, 1, 12, 0, 0.0)))
+    turn = erfa.c2ixys(*erfa.xys06a(*tt)).T  # from CIRS to GCRF
+    turn = erfa.bp00(*tt)[0] @ turn if frame == "EME2000" else turn
+    assert np.allclose(found.states[0, :3], turn @ own.states[0, :3], rtol=1e-11, atol=0)
+
+
+def test_a_frame_that_cannot_be_converted_is_one_message(capsys):
+    numbers = f"start={STATE.tolist()}".replace(" ", "")
+    for more, said in (
+        ([], "received none. Name the frame of the model with frame="),
+        (["frame=[CIRS,EARTH,UTC]"], "output_frame: expected an epoch"),
+        (
+            ["frame=[TNW,EARTH,UTC]"],
+            "output_frame: expected a model in a frame of docs/frames.md; received TNW",
+        ),
+    ):
+        arguments = [numbers, *SHORT, "output=out.csv", "output_frame=GCRF", *more]
+        assert call("ahnn.predict", MOLNIYA, *arguments) == 2
+        assert said in capsys.readouterr().err
+        assert not Path("out.csv").exists()
 
 
 def test_what_is_not_finite_ends_with_code_3_and_writes_nothing(capsys):

@@ -31,6 +31,8 @@ PLACED = re.compile(r"(position|pos|r|q)(?P<of>.*)")
 """Prefixes of position names: the velocity of rx or position_x is vx."""
 DEVIATIONS = "sd_"
 """Prefix of the names of standard deviations; training uses data.noise instead of them."""
+BESIDE = ("t", "novelty", "novel")
+"""Further columns of our predictions and final states: times beside epochs, and novelty."""
 CONTROL = re.compile(r"u\d*|(control|input|torque|command|cmd)(_?\w+)?")
 """Names of control columns, if positions are also present."""
 NO_POSITION = re.compile(

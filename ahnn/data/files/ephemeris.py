@@ -252,12 +252,15 @@ def values(cells: list[str], names: tuple[str, ...], place: Place) -> list[float
     return found
 
 
-def contents(blocks: list[MessageBlock], *, weighed: bool, note: Note = refuse) -> list[Content]:
+def contents(
+    blocks: list[MessageBlock], *, weighed: bool, of_starts: bool = False, note: Note = refuse
+) -> list[Content]:
     """Return each segment as a trajectory, with times since its first epoch.
 
     Args:
         blocks: segments.
         weighed: whether a mass is stated.
+        of_starts: whether only initial states are read, whose covariances are used elsewhere.
         note: callback for invalid states, times that do not increase, and unused content.
 
     Raises:
@@ -270,7 +273,7 @@ def contents(blocks: list[MessageBlock], *, weighed: bool, note: Note = refuse) 
         of_date = f" of {one.frame_epoch}" if one.frame_epoch else ""
         frame = f"{one.frame}{of_date}, {one.center}, {one.time_system}"
         found.append(of_orbits([ordered(track, "EPOCH", note)], frame, one.start, weighed=weighed))
-    for remark in remarks(blocks, covariances=False):
+    for remark in remarks(blocks, covariances=of_starts):
         note(remark)
     return found
 

@@ -5,10 +5,13 @@ from __future__ import annotations
 import re
 
 INERTIAL = ("GCRF", "EME2000")
-NAMES = {"GCRF": "GCRF", "ICRF": "GCRF", "EME2000": "EME2000", "J2000": "EME2000", "TEME": "TEME"}
+NAMES = {
+    **{"GCRF": "GCRF", "ICRF": "GCRF", "EME2000": "EME2000", "J2000": "EME2000"},
+    **{"TEME": "TEME", "CIRS": "CIRS"},
+}
 CENTRES = ("EARTH", "SUN", "MOON", "MARS", "VENUS", "JUPITER", "SATURN")
 SPELLINGS = {
-    **{frame: frame for frame in ("EME2000", "GCRF", "ICRF", "TEME")},
+    **{frame: frame for frame in ("EME2000", "GCRF", "ICRF", "TEME", "CIRS")},
     **{"J2000": "EME2000", "TEMEOFDATE": "TEME"},
     **{centre: centre for centre in CENTRES},
     **{clock: clock for clock in ("UTC", "TAI", "GPS", "TT", "TDB")},

@@ -1,8 +1,9 @@
 """Transformation of positions and velocities near the Earth to an inertial frame (IERS conventions).
 
 TEME is rotated to the terrestrial frame by the sidereal time of 1982, as SGP4 defines it (Vallado et al.,
-AIAA 2006-6753), and from there into GCRF by IAU 2006/2000A (IERS Conventions 2010). Polar motion and UT1 -
-UTC are neglected: the rotation from TEME does not involve them; docs/frames.md lists the errors for ITRF.
+AIAA 2006-6753), and from there into GCRF by IAU 2006/2000A (IERS Conventions 2010), as is CIRS, the true
+equator of date. Polar motion and UT1 - UTC are neglected: the rotations from TEME and CIRS do not involve
+them; docs/frames.md lists the errors for ITRF.
 """
 
 from __future__ import annotations
@@ -68,7 +69,8 @@ def of_track(track: Track, content: Content, given: str, frame: str) -> Track:
     """Transform a track to another frame."""
     assert content.epoch is not None
     second = unit(content.units.time).size
-    matrices = rotations(terrestrial(content.epoch, second * track.times, content.clock), given, frame)
+    moments, rows = np.unique(second * track.times, return_inverse=True)
+    matrices = rotations(terrestrial(content.epoch, moments, content.clock), given, frame)[rows]
     positions, velocities = track.values[:, :3], track.values[:, 3:]
     if given == "ITRF" and velocities.shape[1]:
         velocities = velocities + np.cross([0.0, 0.0, TURN * second], positions)
@@ -91,6 +93,8 @@ def rotations(tt: Array, given: str, frame: str) -> NDArray[np.float64]:
     bias = erfa.bp00(*tt[:, 0])[0]  # from GCRF to mean equator and equinox of J2000.0
     if given == "EME2000":
         matrices = bias.T
+    elif given == "CIRS":
+        matrices = erfa.c2i06a(*tt).transpose(0, 2, 1)
     elif given != "GCRF":
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", erfa.ErfaWarning)  # for years without announced leap seconds

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -12,6 +13,8 @@ from ahnn.data.files.table import Note, Place, refuse
 from ahnn.files import write_atomically
 
 SUFFIXES = (".oem", ".xml")
+COMMENT = 200
+"""Width of comments; lines of a message have at most 254 characters (CCSDS 502.0-B)."""
 
 
 def blocks_of(text: str, file: str, note: Note = refuse) -> list[MessageBlock]:
@@ -52,13 +55,28 @@ def _ephemerides(blocks: list[MessageBlock]) -> list[Ephemeris]:
     return [ephemeris(block) for block in blocks]
 
 
-def write_oem(path: str | Path, ephemerides: Iterable[Ephemeris], originator: str = "ahnn") -> None:
+def write_oem(
+    path: str | Path,
+    ephemerides: Iterable[Ephemeris],
+    originator: str = "ahnn",
+    comments: Iterable[str] = (),
+) -> None:
     """Write an orbit ephemeris message atomically.
 
     Args:
         path: path of the file, in XML if it ends in .xml, otherwise in keyword = value notation.
         ephemerides: one ephemeris per segment.
         originator: originator of the message.
+        comments: texts for comments in the header; long ones are wrapped.
     """
+    lines = [line for text in comments for line in _comment_lines(text)]
     notation = oem_xml if Path(path).suffix.lower() == ".xml" else oem
-    write_atomically(Path(path), notation.written(ephemerides, originator).encode())
+    write_atomically(Path(path), notation.written(ephemerides, originator, comments=lines).encode())
+
+
+def _comment_lines(text: str) -> list[str]:
+    """Return a text as the contents of comment lines, in printable ASCII characters."""
+    plain = "".join(
+        sign if sign.isascii() and (sign.isprintable() or sign.isspace()) else "?" for sign in text
+    )
+    return textwrap.wrap(plain, COMMENT)

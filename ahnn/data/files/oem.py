@@ -116,16 +116,28 @@ def add_covariance(block: MessageBlock, line: str, place: Place) -> None:
         place.refuse("EPOCH or COV_REF_FRAME", repr(key))
 
 
-def written(ephemerides: Iterable[Ephemeris], originator: str = "ahnn", created: str | None = None) -> str:
+def written(
+    ephemerides: Iterable[Ephemeris],
+    originator: str = "ahnn",
+    created: str | None = None,
+    comments: Iterable[str] = (),
+) -> str:
     """Format a message of version 2.0, with 16 digits per number, i.e. full precision.
 
     Args:
         ephemerides: one ephemeris per segment.
         originator: originator of the message.
         created: epoch of the message in UTC; None for now.
+        comments: comment lines of the header.
     """
-    head = [f"{VERSION} = 2.0", f"CREATION_DATE = {created or epochs.now()}", f"ORIGINATOR = {originator}"]
-    return "\n".join([*head, *(line for one in ephemerides for line in _segment(one))]) + "\n"
+    about = (f"COMMENT {line}" for line in comments)
+    head = [f"CREATION_DATE = {created or epochs.now()}", f"ORIGINATOR = {originator}"]
+    return (
+        "\n".join(
+            [f"{VERSION} = 2.0", *about, *head, *(line for one in ephemerides for line in _segment(one))]
+        )
+        + "\n"
+    )
 
 
 def _segment(one: Ephemeris) -> Iterator[str]:

@@ -138,16 +138,23 @@ class _Reader:
         return [self.texts[name] for name in names]
 
 
-def written(ephemerides: Iterable[Ephemeris], originator: str = "ahnn", created: str | None = None) -> str:
+def written(
+    ephemerides: Iterable[Ephemeris],
+    originator: str = "ahnn",
+    created: str | None = None,
+    comments: Iterable[str] = (),
+) -> str:
     """Format a message of version 2.0, with 16 digits per number, i.e. full precision.
 
     Args:
         ephemerides: one ephemeris per segment.
         originator: originator of the message.
         created: epoch of the message in UTC; None for now.
+        comments: comments of the header.
     """
     message = Element("oem", id="CCSDS_OEM_VERS", version="2.0")
-    _group(message, "header", {"CREATION_DATE": created or epochs.now(), "ORIGINATOR": originator})
+    about = {"CREATION_DATE": created or epochs.now(), "ORIGINATOR": originator}
+    _group(message, "header", about, comments)
     body = SubElement(message, "body")
     for one in ephemerides:
         segment = SubElement(body, "segment")
@@ -169,8 +176,10 @@ def _data(parent: Element, one: Ephemeris) -> None:
         _group(parent, "covarianceMatrix", {**about, **dict(numbers)})
 
 
-def _group(parent: Element, tag: str, texts: Mapping[str, str]) -> None:
-    """Add a container element with text elements."""
+def _group(parent: Element, tag: str, texts: Mapping[str, str], comments: Iterable[str] = ()) -> None:
+    """Add a container element with comments and text elements."""
     group = SubElement(parent, tag)
+    for line in comments:
+        SubElement(group, "COMMENT").text = line
     for name, text in texts.items():
         SubElement(group, name).text = text

@@ -32,12 +32,14 @@ class FileReading(NamedTuple):
         frame: target frame of positions and velocities; None: no transformation.
         step, duration: sampling of orbits propagated from element sets, in seconds; None without element
             sets.
+        of_starts: whether only initial states are read, without remarks on training.
     """
 
     weighed: bool = False
     frame: str | None = None
     step: float | None = None
     duration: float | None = None
+    of_starts: bool = False
 
 
 def bytes_of(path: Path) -> tuple[bytes, bytes | None]:
@@ -61,14 +63,15 @@ def parsed(path: Path, raw: bytes, aside: bytes | None, reading: FileReading, no
     """
     file = str(path)
     kind = kinds.kind_of(raw, file)
-    weighed, beside = reading.weighed, sidecar.beside(path)
+    weighed, beside, of_starts = reading.weighed, sidecar.beside(path), reading.of_starts
     if kind in ("parquet", "table"):
         if kind == "parquet":
             sheet = parquet.read_parquet(raw, file, note)
         else:
             sheet = read_csv(decoded(raw, path), file, note)
         said = sidecar.Sidecar() if aside is None else sidecar.parse(decoded(aside, beside), str(beside))
-        return turned([of_sheet(sheet, said, weighed=weighed, note=note)], [sheet.place], reading)
+        found = of_sheet(sheet, said, weighed=weighed, of_starts=of_starts, note=note)
+        return turned([found], [sheet.place], reading)
     if kind in kinds.TRACKING:
         remedy = "It contains no trajectories: system=sightings learns from it (docs/tracking.md)"
         Place(file).refuse(kinds.READ, kinds.ABOUT[kind], remedy)
@@ -83,7 +86,7 @@ def parsed(path: Path, raw: bytes, aside: bytes | None, reading: FileReading, no
         read = cpf.cpf_content if kind == "cpf" else sp3.sp3_content
         return turned([read(text, file, weighed=weighed, note=note)], [Place(file)], reading)
     blocks = (opm.opm_blocks if kind == "opm" else messages.blocks_of)(text, file, note)
-    parts = ephemeris.contents(blocks, weighed=weighed, note=note)
+    parts = ephemeris.contents(blocks, weighed=weighed, of_starts=of_starts, note=note)
     return turned(parts, [block.place for block in blocks], reading)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,6 +19,8 @@ SUFFIXES = (".yaml", ".yml")
 KEYS = ("units", "columns", "frame", "controls")
 OTHERWISE = "If it is not the sidecar of the data file of the same name, rename one of them"
 """Remedy for a file that describes something else."""
+WIDTH = 110
+"""Width of remarks."""
 LINEAR = "linear"
 BETWEEN = ("held", LINEAR)
 """Allowed behaviours of controls between samples."""
@@ -84,9 +88,12 @@ def with_units(header: Header, sidecar: Sidecar, place: Place) -> Header:
     return Header(header.names, tuple(units.values()))
 
 
-def written(path: Path, said: Sidecar) -> bytes:
-    """Return the sidecar of an output file as bytes."""
+def written(path: Path, said: Sidecar, remarks: Iterable[str] = ()) -> bytes:
+    """Return the sidecar of an output file as bytes, with remarks on the file as comments."""
     about = f"# Units, columns and frame of {path.name}\n"
+    for remark in remarks:
+        plain = "".join(sign if sign.isprintable() or sign.isspace() else "?" for sign in remark)
+        about += "".join(f"# {line}\n" for line in textwrap.wrap(plain, WIDTH))
     usual = {"controls": BETWEEN[0]}.items()
     plain = {key: value for key, value in said._asdict().items() if (key, value) not in usual}
     return f"{about}{yaml.safe_dump(plain, sort_keys=False)}".encode()
@@ -97,6 +104,6 @@ def require_place(path: Path) -> None:
     require_own([beside(path)], "output")
 
 
-def write(path: Path, said: Sidecar) -> None:
-    """Write the sidecar of a file."""
-    write_atomically(path.with_suffix(SUFFIXES[0]), written(path, said))
+def write(path: Path, said: Sidecar, remarks: Iterable[str] = ()) -> None:
+    """Write the sidecar of a file, with remarks on the file as comments."""
+    write_atomically(path.with_suffix(SUFFIXES[0]), written(path, said, remarks))

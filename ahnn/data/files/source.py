@@ -42,6 +42,8 @@ class Files(Recordings):
     """
 
     lists = "`python -m ahnn.data check` lists all faults. "
+    of_starts = False
+    """Whether only initial states are read, which makes remarks on training irrelevant."""
 
     def __init__(
         self,
@@ -59,7 +61,7 @@ class Files(Recordings):
             message = "system.path: expected the path of your data; received none. Set system.path=FILE"
             raise UserError(message)
         self.paths = [Path(p).expanduser() for p in ([path] if isinstance(path, str) else path)]
-        self.reading = FileReading(mass is not None, frame, step, duration)
+        self.reading = FileReading(mass is not None, frame, step, duration, self.of_starts)
         require_different(self.paths)
         digest = hashlib.sha256()
         contents = []
@@ -87,6 +89,12 @@ class Files(Recordings):
         options = {"mass": self.mass, "cut": self.cut, "gap": self.gap}
         asked = {name: getattr(self.reading, name) for name in ("frame", "step", "duration")}
         return {"files": self._sha256, **options, **{k: v for k, v in asked.items() if v is not None}}
+
+
+class StartFiles(Files):
+    """Initial states in files; their standard deviations are used by the reader of starts."""
+
+    of_starts = True
 
 
 def require_different(paths: list[Path]) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ahnn.data.files import epochs
-from ahnn.data.files.columns import Roles, is_deviation, roles
+from ahnn.data.files.columns import BESIDE, Roles, is_deviation, roles
 from ahnn.data.files.content import Column, Content
 from ahnn.data.files.frame_names import canonical
 from ahnn.data.files.frames import TO_TT
@@ -37,13 +37,16 @@ NOT_A_DATE = (
 )
 
 
-def of_sheet(sheet: Sheet, sidecar: Sidecar, *, weighed: bool, note: Note = refuse) -> Content:
+def of_sheet(
+    sheet: Sheet, sidecar: Sidecar, *, weighed: bool, of_starts: bool = False, note: Note = refuse
+) -> Content:
     """Convert a table to content.
 
     Args:
         sheet: columns of the table.
         sidecar: its sidecar.
         weighed: whether a mass is stated.
+        of_starts: whether only initial states are read, whose standard deviations are used elsewhere.
         note: callback for cells that are not numbers, and times that do not increase.
 
     Raises:
@@ -52,7 +55,7 @@ def of_sheet(sheet: Sheet, sidecar: Sidecar, *, weighed: bool, note: Note = refu
     place, file = sheet.place, sheet.place.file
     header = with_units(sheet.header, sidecar, place)
     found = roles(header, sidecar.columns, place)
-    say_unused(header, found, place, note)
+    say_unused(header, found, place, note, of_starts=of_starts)
     if not len(sheet.rows):
         place.refuse("a row for each sample", "only a header")
     times, clock, epoch = None, "", None
@@ -95,13 +98,14 @@ def controls_of(sheet: Sheet, found: Roles, note: Note) -> Array | None:
     return np.stack(columns, axis=1)
 
 
-def say_unused(header: Header, found: Roles, place: Place, note: Note) -> None:
-    """Report unused columns."""
+def say_unused(header: Header, found: Roles, place: Place, note: Note, *, of_starts: bool) -> None:
+    """Report unused columns; starts use standard deviations and need nothing else of our own tables."""
     unused = [name for i, name in enumerate(header.names) if found.of(i) == "not used"]
     deviations = [name for name in unused if is_deviation(name)]
-    if others := [name for name in unused if name not in deviations]:
+    known = BESIDE if of_starts else ()
+    if others := [name for name in unused if name not in (*deviations, *known)]:
         note(Remark(place, f"not used, since the sidecar does not name them: {', '.join(others)}"))
-    if deviations:
+    if deviations and not of_starts:
         what = f"{', '.join(deviations)}: used for a start, but not for training"
         remedy = "For training, set one standard deviation for all samples: sensor=recorded data.noise=..."
         note(Remark(place, what, remedy, "warning"))

@@ -100,7 +100,7 @@ def test_the_oem_package_reads_what_is_written_and_is_read_itself(tmp_path):
     known = (Covariance(float(t[1]), np.diag([1.0, 2.0, 3.0, 1e-6, 2e-6, 3e-6])),)
     given = Ephemeris("2024-001A", "MINE", "EARTH", "EME2000", "UTC", start, t, states, known)
     for name in ("a.xml", "a.oem"):
-        write_oem(tmp_path / name, [given])
+        write_oem(tmp_path / name, [given], comments=["a remark", "another"])
         theirs = oem.OrbitEphemerisMessage.open(tmp_path / name)
         require_same(theirs, states)
         (segment,) = theirs.segments

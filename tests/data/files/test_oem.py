@@ -78,6 +78,17 @@ def test_a_file_is_written_and_read_back(tmp_path, name):
             assert np.array_equal(one.matrix, other.matrix)
 
 
+@pytest.mark.parametrize("name", ["a.oem", "a.xml"])
+def test_comments_are_printable_lines_within_the_limit_of_the_standard(tmp_path, name):
+    write_oem(tmp_path / name, read_oem(HERE), comments=["first & <last>", "σ\n\a " + 99 * "band "])
+    lines = (tmp_path / name).read_text(encoding="ascii").splitlines()
+    assert max(map(len, lines)) <= 254
+    found = [line.strip().replace("<COMMENT>", "COMMENT ") for line in lines if "COMMENT" in line]
+    assert len(found) == 4
+    assert found[1].startswith("COMMENT ? ? band")
+    assert len(read_oem(tmp_path / name)) == len(read_oem(HERE))
+
+
 def as_xml(text):
     """A message in XML with what `oem` finds in one of keywords."""
     parts = []
