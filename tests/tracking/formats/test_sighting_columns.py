@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from entry import call
 
 from ahnn.errors import UserError
 from ahnn.tracking.formats.tracking_files import read_tracking
@@ -94,3 +95,19 @@ def test_what_is_wrong_is_refused(table, old, new, said):
     with pytest.raises(UserError) as caught:
         read_tracking(table)
     assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("typical", "mistake"), [(4_780_837, "metres given as km?"), (4.78, "kilometres given as m?"), (4780, "")]
+)
+def test_ranges_that_no_earth_satellite_has_are_told(table, caplog, capsys, typical, mistake):
+    lines = [f"2026-03-01T00:0{k}:00,{'UV'[k % 2]},{typical + k if k % 2 else 5000},10,10" for k in range(6)]
+    table.write_text("\n".join(["time,station,range_km,azimuth_deg,elevation_deg", *lines]))
+    read_tracking(table)
+    said = [record.getMessage() for record in caplog.records]
+    assert len(said) == bool(mistake)
+    if mistake:
+        assert f"{table}, column range: ranges of V of typically {typical + 3:,.4g} km" in said[0]
+        assert said[0].endswith(mistake)
+    assert call("ahnn.data.__main__", "check", str(table)) == 0
+    assert f"0 faults, {1 if mistake else 0} warning" in capsys.readouterr().out
