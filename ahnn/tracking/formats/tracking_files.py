@@ -47,6 +47,8 @@ def parsed(path: Path, aside: str | Path | None, note: Note) -> list[TrackingDat
     """Read the measurements of a file, see `read_tracking`."""
     raw, file = content_of(path), str(path)
     kind = kind_of(raw, file)
+    if kind == "table" and has_columns(decoded(raw, path)):
+        kind = "station_table"  # without stations, which the reader reports
     if kind not in READABLE:
         Place(file).refuse(" or ".join(ABOUT[one] for one in READABLE), ABOUT[kind])
     text, said = decoded(raw, path), sidecar_of(path, None if aside is None else Path(aside))
