@@ -124,6 +124,18 @@ def test_the_command_lists_faults_and_ends_with_2(tmp_path, capsys):
     assert "b.csv" in out
 
 
+def test_outliers_have_the_row_of_the_file_and_the_whole_name_of_their_kind(tmp_path, capsys):
+    times, values = passes()
+    values[20] += 0.1
+    rows = [
+        f"2026-03-01T{int(t) // 3600:02d}:{int(t) // 60 % 60:02d}:00,S,{v / 100 - 5},45"
+        for t, v in zip(times, values, strict=True)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join(["time,station,elevation_deg,azimuth_deg", *rows[::-1]]))
+    assert call("ahnn.data.__main__", "check", str(tmp_path / "a.csv")) == 0
+    assert "warning a.csv            51 elevation S at" in capsys.readouterr().out
+
+
 def test_training_on_tracking_data_is_refused_by_name(tmp_path, capsys):
     (tmp_path / "a.npt").write_text(CRD)
     assert (
