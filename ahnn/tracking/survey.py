@@ -18,7 +18,7 @@ FASTEST = 12.0
 """Speed in km/s that no Earth satellite reaches."""
 STANDS_OUT = 15.0
 """Outlier criterion: ratio of a value's distance from its neighbours to the median distance of the pass."""
-CLEARLY = 3.0
+CLEARLY = 5.0
 """Outlier criterion: ratio of the distance from the neighbours to the disagreement among these."""
 FEWEST = 7
 """Minimum number of measurements in a pass for outlier detection."""

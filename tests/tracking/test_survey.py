@@ -152,3 +152,12 @@ def test_real_data_have_few_outliers(capsys):
     out = capsys.readouterr().out
     assert "W3B.aer: 521 measurements" in out
     assert out.count("far from") <= 1
+
+
+def test_a_fast_motion_with_few_samples_is_no_outlier():
+    times = 60.0 * np.arange(14)
+    values = np.arctan2(7.5 * (times - 390), 400.0)  # an azimuth as a satellite passes near the zenith
+    for seed in range(8):
+        noise = np.radians(0.01) * np.random.default_rng(seed).standard_normal(14)
+        (found,) = survey(data(times, np.mod(values + noise, 2 * np.pi), "azimuth"))
+        assert found.outliers.tolist() == []
