@@ -99,7 +99,7 @@ MISTAKES = {
     "unknown integrator": (["integrator.name=rk5"], ["rk5", "rk4"]),
     "window too long": (["window=61"], ["windows of 1 to 60 steps", "received 61"]),
     "no window": (["window=0"], ["window: expected int >= 1; received 0"]),
-    "empty split": (["data.trajectories=3"], ["3 trajectories", "val 0"]),
+    "empty split": (["data.trajectories=2"], ["train, val, test; received 2 trajectories"]),
     "reversed range": (["system.q0=[1.0,-1.0]"], ["q0", "[1.0, -1.0]"]),
     "rate below its infimum": (
         ["optimizer=adamw", "scheduler=exp_hyperbolic", "optimizer.lr=1e-9"],

@@ -151,18 +151,22 @@ def check_fractions(fractions: list[float]) -> None:
 def split_sizes(count: int, fractions: list[float]) -> list[int]:
     """Return the number of trajectories per split; the first takes the remainder of rounding.
 
+    A split that would be empty by rounding gets a trajectory of the largest one.
+
     Raises:
-        UserError: fractions that are not three positive numbers with sum 1, or an empty split.
+        UserError: fractions that are not three positive numbers with sum 1, or fewer than three trajectories.
     """
     check_fractions(fractions)
     rest = [round(fraction * count) for fraction in fractions[1:]]
     sizes = [count - sum(rest), *rest]
-    if min(sizes) < 1:
-        named = ", ".join(f"{name} {size}" for name, size in zip(SPLITS, sizes, strict=True))
+    if count < len(SPLITS):
         message = (
-            f"split: expected at least one trajectory in each part; received {count} trajectories with "
-            f"fractions {fractions}, that is, {named}. Use more trajectories, or cut trajectories of files "
-            "with system.cut"
+            f"split: expected at least one trajectory in each of {', '.join(SPLITS)}; received {count} "
+            f"{'trajectory' if count == 1 else 'trajectories'}. Use more, or cut trajectories of files with "
+            "system.cut"
         )
         raise UserError(message)
+    while min(sizes) < 1:
+        sizes[sizes.index(max(sizes))] -= 1
+        sizes[sizes.index(min(sizes))] += 1
     return sizes

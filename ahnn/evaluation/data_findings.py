@@ -14,6 +14,8 @@ from ahnn.data.files.content import Content
 LEVELS = ("fault", "warning", "note")
 SHOWN = 5
 """Maximum number of similar findings listed in the table; the rest are counted."""
+NARROW = 6
+"""Minimum width of the names of columns; the descriptions give four more to longer names."""
 
 
 def checkup(found: Examined) -> RenderableType:
@@ -30,7 +32,10 @@ def checkup(found: Examined) -> RenderableType:
 def listed(findings: list[Finding]) -> RenderableType:
     """Format findings as a table 80 characters wide, faults first."""
     table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
-    for name, width in (("", 7), ("file", 12), ("row", 6), ("column", 6), ("what", 24), ("what to do", 20)):
+    longest = max((len(word) for one in findings for word in one.column.split()), default=0)
+    wide = min(max(longest, NARROW), NARROW + 4)
+    widths = (7, 12, 6, wide, 24 + NARROW - wide, 20)
+    for name, width in zip(("", "file", "row", "column", "what", "what to do"), widths, strict=True):
         table.add_column(name, width=width, overflow="fold", justify="right" if name == "row" else "left")
     for level in LEVELS:
         part = [one for one in findings if one.level == level]

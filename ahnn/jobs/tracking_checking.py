@@ -102,5 +102,6 @@ def _findings(path: Path, data: TrackingData, series: list[SeriesSurvey]) -> lis
         ):
             for k in np.asarray(places)[:LISTED]:
                 text = f"{one.station} at {_spelled(data, float(one.times[k]))[:19]}: {what}"
-                found.append(Finding("warning", str(path), 0, one.kind.replace("_", " "), text, remedy))
+                row, name = int(one.rows[k]), one.kind.replace("_", " ")
+                found.append(Finding("warning", str(path), row, name, text, remedy))
     return found

@@ -115,5 +115,6 @@ class StationMeasurement(Differing):
             weather=data.weather[rows],
             wavelength=data.wavelength[rows],
             deviations=data.deviations[rows],
+            rows=None,
         )
         return self._model.of((self.station,), now)(NearbyStates(t, states[:, :SIZE]))

@@ -18,7 +18,7 @@ FASTEST = 12.0
 """Speed in km/s that no Earth satellite reaches."""
 STANDS_OUT = 15.0
 """Outlier criterion: ratio of a value's distance from its neighbours to the median distance of the pass."""
-CLEARLY = 3.0
+CLEARLY = 5.0
 """Outlier criterion: ratio of the distance from the neighbours to the disagreement among these."""
 FEWEST = 7
 """Minimum number of measurements in a pass for outlier detection."""
@@ -37,6 +37,7 @@ class SeriesSurvey(NamedTuple):
         gap: longest gap, in seconds.
         outliers: indices of outliers among the measurements.
         impossible: indices of ranges that change faster than a satellite moves.
+        rows: (n,) line numbers of the measurements; 0 if unknown.
     """
 
     station: str
@@ -46,24 +47,29 @@ class SeriesSurvey(NamedTuple):
     gap: float
     outliers: NDArray[np.int64]
     impossible: NDArray[np.int64]
+    rows: NDArray[np.int64]
 
 
 def survey(data: TrackingData) -> list[SeriesSurvey]:
     """Survey the measurements by station and kind."""
     found = []
+    rows = np.zeros(len(data.times), dtype=np.int64) if data.rows is None else data.rows
     for k, name in enumerate(data.stations):
         for c, kind in enumerate(KINDS):
             chosen = np.flatnonzero((data.station == k) & np.isfinite(data.values[:, c]))
             if len(chosen):
-                values = data.values[chosen, c]
-                found.append(of_series(name, kind, data.times[chosen], values))
+                found.append(of_series(name, kind, data.times[chosen], data.values[chosen, c], rows[chosen]))
     return found
 
 
 def of_series(
-    station: str, kind: Kind, times: NDArray[np.float64], values: NDArray[np.float64]
+    station: str,
+    kind: Kind,
+    times: NDArray[np.float64],
+    values: NDArray[np.float64],
+    rows: NDArray[np.int64],
 ) -> SeriesSurvey:
-    """Survey one series, (n,) times in s and values in km, km/s or rad."""
+    """Survey one series, (n,) times in s, values in km, km/s or rad, and line numbers."""
     steps = np.diff(times)
     limit = min(LONGEST, PASS * float(np.median(steps))) if len(steps) else LONGEST
     bounds = [0, *(np.flatnonzero(steps > limit) + 1).tolist(), len(times)]
@@ -76,7 +82,8 @@ def of_series(
     if kind == "range":
         impossible = np.flatnonzero(np.abs(np.diff(values)) > FASTEST * steps) + 1
     gap = float(steps.max()) if len(steps) else 0.0
-    return SeriesSurvey(station, kind, times, len(bounds) - 1, gap, np.concatenate(outliers), impossible)
+    passes = len(bounds) - 1
+    return SeriesSurvey(station, kind, times, passes, gap, np.concatenate(outliers), impossible, rows)
 
 
 def standing_out(times: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -36,6 +36,7 @@ class TrackingData:
         wavelength: (N,) wavelength of laser light in micrometres; NaN for radio.
         deviations: (N, 6) standard deviations from the file, or NaN.
         remarks: remarks on unused content of the file.
+        rows: (N,) line numbers in the file; None if the measurements are not those of one file.
     """
 
     object: str
@@ -49,6 +50,7 @@ class TrackingData:
     wavelength: NDArray[np.float64]
     deviations: NDArray[np.float64]
     remarks: tuple[str, ...] = field(default=())
+    rows: NDArray[np.int64] | None = None
 
     @property
     def kinds(self) -> tuple[Kind, ...]:
@@ -77,5 +79,5 @@ def joined(one: TrackingData, other: TrackingData) -> tuple[TrackingData, NDArra
         name: np.concatenate((getattr(one, name), getattr(other, name)))[order]
         for name in ("values", "weather", "wavelength", "deviations")
     }
-    whole = replace(one, times=times[order], stations=stations, station=station[order], **both)
+    whole = replace(one, times=times[order], stations=stations, station=station[order], rows=None, **both)
     return whole, order < len(one.times)

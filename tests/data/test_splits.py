@@ -125,8 +125,12 @@ def test_fractions_sum_to_one_up_to_rounding():
 
 def test_one_trajectory_in_each_split_is_enough():
     assert split_sizes(3, [0.34, 0.33, 0.33]) == [1, 1, 1]
-    with pytest.raises(UserError, match="train 1, val 0, test 1"):
-        split_sizes(2, [0.3, 0.2, 0.5])
+    assert split_sizes(10, [0.8, 0.15, 0.05]) == [7, 2, 1]
+    assert split_sizes(3, [0.98, 0.01, 0.01]) == [1, 1, 1]
+    assert split_sizes(4, [0.1, 0.45, 0.45]) == [1, 1, 2]
+    for count, received in ((1, "1 trajectory"), (2, "2 trajectories")):
+        with pytest.raises(UserError, match=f"each of train, val, test; received {received}. Use more"):
+            split_sizes(count, [0.3, 0.2, 0.5])
 
 
 def test_an_instrument_knows_the_typical_step():

@@ -124,6 +124,18 @@ def test_the_command_lists_faults_and_ends_with_2(tmp_path, capsys):
     assert "b.csv" in out
 
 
+def test_outliers_have_the_row_of_the_file_and_the_whole_name_of_their_kind(tmp_path, capsys):
+    times, values = passes()
+    values[20] += 0.1
+    rows = [
+        f"2026-03-01T{int(t) // 3600:02d}:{int(t) // 60 % 60:02d}:00,S,{v / 100 - 5},45"
+        for t, v in zip(times, values, strict=True)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join(["time,station,elevation_deg,azimuth_deg", *rows[::-1]]))
+    assert call("ahnn.data.__main__", "check", str(tmp_path / "a.csv")) == 0
+    assert "warning a.csv            51 elevation S at" in capsys.readouterr().out
+
+
 def test_training_on_tracking_data_is_refused_by_name(tmp_path, capsys):
     (tmp_path / "a.npt").write_text(CRD)
     assert (
@@ -140,3 +152,12 @@ def test_real_data_have_few_outliers(capsys):
     out = capsys.readouterr().out
     assert "W3B.aer: 521 measurements" in out
     assert out.count("far from") <= 1
+
+
+def test_a_fast_motion_with_few_samples_is_no_outlier():
+    times = 60.0 * np.arange(14)
+    values = np.arctan2(7.5 * (times - 390), 400.0)  # an azimuth as a satellite passes near the zenith
+    for seed in range(8):
+        noise = np.radians(0.01) * np.random.default_rng(seed).standard_normal(14)
+        (found,) = survey(data(times, np.mod(values + noise, 2 * np.pi), "azimuth"))
+        assert found.outliers.tolist() == []

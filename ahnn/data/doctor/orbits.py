@@ -49,6 +49,10 @@ TIMES = {
     1 / 3600: "times are 3600 times too large (s as h?)",
 }
 """Correction factors that make a track an orbit, with their meaning."""
+LOWEST, FARTHEST = 6378.0, 1e6
+"""Distances of Earth satellites from its centre, in km."""
+PLANE = ({"x", "y"}, {"rx", "ry"}, {"qx", "qy"}, {"posx", "posy"}, {"positionx", "positiony"})
+"""Names of two positions of a satellite whose third is missing, in lower case and without underscores."""
 TURNS = {False: "positions are in an inertial frame", True: "positions rotate with the Earth"}
 
 
@@ -60,8 +64,10 @@ def orbit_findings(content: Content, tracks: list[Track]) -> list[Finding]:
         tracks: tracks to be tested.
     """
     length, clock = unit(content.units.position), unit(content.units.time)
-    if len(content.positions) != 3 or length.dimension != LENGTH or clock.dimension != TIME:
+    if length.dimension != LENGTH or clock.dimension != TIME:
         return []
+    if len(content.positions) != 3:
+        return without_height(content, tracks)
     body = next((word for word in words(content.frame) if word in MU), None)
     turning = content.frame.upper().startswith(ROTATING)
     found: list[tuple[Track, str]] = []
@@ -80,6 +86,23 @@ def orbit_findings(content: Content, tracks: list[Track]) -> list[Finding]:
         )
         for track, said in found
     ]
+
+
+def without_height(content: Content, tracks: list[Track]) -> list[Finding]:
+    """Return a warning for two positions of Earth satellites that do not move in their plane."""
+    if {name.lower().replace("_", "") for name in content.positions} not in PLANE:
+        return []
+    length, clock = unit(content.units.position).size / 1000, unit(content.units.time).size
+    given = [(clock * track.times, length * track.values[:, :2]) for track in tracks]
+    distances = np.concatenate([np.linalg.norm(q, axis=1) for _, q in given])
+    farthest = distances.max(initial=0.0, where=np.isfinite(distances))
+    turning = content.frame.upper().startswith(ROTATING)
+    plane = (misfit(t, np.pad(q, ((0, 0), (0, 1))), MU.values(), turned=turning) <= FITS for t, q in given)
+    if not LOWEST < farthest < FARTHEST or any(plane):
+        return []
+    what = "two positions do not describe an orbit in space: is z missing?"
+    remedy = "Add z, and vz to velocities, unless the orbit lies in the plane of both"
+    return [Finding("warning", tracks[0].file, content.head, content.positions[-1], what, remedy)]
 
 
 def words(frame: str) -> list[str]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from ahnn.arguments import nearest
+from ahnn.data.files.kinds import NO_STATION, SIGHTINGS_ALONE
 from ahnn.data.files.sidecar import beside
 from ahnn.data.files.table import Header, Place
 
@@ -111,6 +112,9 @@ def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
     positions = tuple(i for i in rest if i not in moving)
     rates = {position: i for i, (position, _) in moving.items()}
     kinds: list[Kind] = list({kind for _, kind in moving.values()})
+    if not rates and SIGHTINGS_ALONE.match(", ".join(names)):
+        remedy = f"If these are the coordinates of a system: {SIDECAR[0].lower()}{SIDECAR[1:]}"
+        place._replace(column="station").refuse(NO_STATION, ", ".join(names), remedy)
     if not positions:
         place.refuse("position columns", ", ".join(names), SIDECAR)
     if len(kinds) > 1 or len(rates) < len(moving) or not rates.keys() <= {*positions}:

@@ -95,6 +95,11 @@ SIGHTING_COLUMNS = re.compile(
     r"(?i)(?=.*[,;\t])(?=.*\b(station|sensor)\b)(?=.*\b(range|elevation|declination)(_|\b))"
 )
 """Header of a table of station measurements."""
+SIGHTINGS_ALONE = re.compile(
+    r"(?i)(?=.*\brange(_|\b))(?=.*\b(azimuth|elevation)(_|\b))(?!.*\b(station|sensor)\b)"
+)
+"""Header of such a table without the names of the stations."""
+NO_STATION = "a column station with the name of the station, as in each table of ranges and angles"
 LINES: tuple[tuple[re.Pattern[str], Kind], ...] = (
     (re.compile(r"\s*H1\s+CPF\b", re.IGNORECASE), "cpf"),
     (re.compile(r"\s*H1\s+CRD\b", re.IGNORECASE), "crd"),

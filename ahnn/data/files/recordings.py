@@ -64,10 +64,17 @@ class Recordings(ABC):
         self._contents = contents
 
     def check(self) -> None:
-        """Raise UserError for data that would spoil the training, unless `unsound` is set."""
+        """Raise UserError for data that would spoil the training, unless `unsound` is set.
+
+        Warnings about a whole column are logged.
+        """
         from ahnn.data.doctor import diagnosis
 
         found = [] if self.unsound else diagnosis(self._contents, self.mass, self.gap)
+        heads = {(content.tracks[0].file, content.head) for content in self._contents}
+        for one in found:
+            if one.level == "warning" and one.column and (one.file, one.row) in heads:
+                log.warning("%s: %s. %s", Place(one.file, one.row, one.column), one.what, one.remedy)
         faults = [one for one in found if one.level == "fault"]
         if faults:
             (_, file, row, column, what, remedy), rest = faults[0], len(faults) - 1

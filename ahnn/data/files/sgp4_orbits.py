@@ -68,8 +68,8 @@ def sgp4_content(
     if step is None or duration is None or duration < step:
         message = (
             "step, duration: expected the sampling interval and duration, in seconds, of the trajectories "
-            f"that SGP4 propagates from the {named} in {file}; received {step} and {duration}. In "
-            "ahnn.train, set system.step and system.duration"
+            f"that SGP4 propagates from the {named} in {file}; received {step} and {duration}. Set "
+            "step=SECONDS and duration=SECONDS; in ahnn.train, system.step and system.duration"
         )
         raise UserError(message)
     model = library("sgp4.api", "sgp4", "orbit", file)

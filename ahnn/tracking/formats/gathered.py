@@ -109,4 +109,5 @@ def gathered(
         wavelength=np.array([one.wavelength for one in ranked]),
         deviations=np.array([[one.deviations.get(kind, math.nan) for kind in KINDS] for one in ranked]),
         remarks=remarks,
+        rows=np.array([one.row for one in ranked], dtype=np.int64),
     )

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from ahnn.arguments import nearest
 from ahnn.data.files import units
-from ahnn.data.files.kinds import SIGHTING_COLUMNS
+from ahnn.data.files.kinds import NO_STATION, SIGHTING_COLUMNS, SIGHTINGS_ALONE
 from ahnn.data.files.table import MISSING, Fault, Note, Place, column_of, read_csv, refuse, within
 from ahnn.tracking.formats.gathered import TrackingReading, gathered, measured
 from ahnn.tracking.formats.instants import CLOCKS, utc_moment
@@ -79,7 +79,7 @@ def has_columns(text: str) -> bool:
     first = next(
         (line for line in text.split("\n") if line.strip() and not line.lstrip().startswith("#")), ""
     )
-    return SIGHTING_COLUMNS.match(first) is not None
+    return any(header.match(first) for header in (SIGHTING_COLUMNS, SIGHTINGS_ALONE))
 
 
 def roles_of(
@@ -96,6 +96,8 @@ def roles_of(
                 f"different columns among {', '.join((*TIMES[:1], *STATIONS[:1], *KINDS))}", received
             )
     one = [[k for k, cell in enumerate(cells) if cell in role] for role in (TIMES, STATIONS, OBJECTS)]
+    if not one[1]:
+        place._replace(column="station").refuse(NO_STATION, ", ".join(names))
     if len(one[0]) != 1 or len(one[1]) != 1 or len(one[2]) > 1:
         place.refuse("one time column, one station column, and at most one object column", ", ".join(names))
     time, station = one[0][0], one[1][0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ahnn.data import Files
 from ahnn.data.doctor.orbits import MU, hypothesis, misfit, orbit_findings
 from ahnn.data.files.content import Content
 from ahnn.data.files.frames import TURN
@@ -187,3 +188,25 @@ def test_the_centre_and_too_few_samples_tell_nothing():
     assert misfit(t, 0 * q, [MU["EARTH"]], turned=False) == np.inf
     rough = q + 2000.0 * np.random.default_rng(0).standard_normal(q.shape)
     assert misfit(t, rough, [MU["EARTH"]], turned=False) == np.inf
+
+
+@pytest.mark.parametrize("names", [("x", "y"), ("r_x", "R_y")])
+@pytest.mark.parametrize("unit", ["km", "m"])
+def test_two_positions_of_a_tilted_orbit_miss_the_third(unit, names):
+    factor = 1000.0 if unit == "m" else 1.0
+    for tilt, count in ((0.6, 1), (0.0, 0)):
+        t, q = circle(tilt=tilt)
+        given = [Track("", "a.csv", 2 + np.arange(len(t)), t, factor * q[:, :2])]
+        found = orbit_findings(content(given, units=("s", unit), names=names), given)
+        assert [(one.level, one.row, one.column) for one in found] == [("warning", 1, names[1])] * count
+        assert all(one.what.endswith("is z missing?") for one in found)
+        small = [given[0]._replace(values=1e-4 * given[0].values)]
+        assert orbit_findings(content(small, units=("s", unit), names=names), small) == []
+
+
+def test_a_missing_position_is_told_before_a_training(tmp_path, caplog):
+    t, q = circle()
+    rows = [f"{one:.1f},{x:.6f},{y:.6f}" for one, (x, y) in zip(t, q[:, :2], strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join(["t [s],x [km],y [km]", *rows]))
+    Files("a", str(tmp_path / "a.csv")).check()
+    assert f"{tmp_path / 'a.csv'}, row 1, column y: two positions do not describe an orbit" in caplog.text

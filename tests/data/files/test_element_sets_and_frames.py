@@ -62,7 +62,7 @@ def test_a_damaged_element_set_is_named(tmp_path, old, new, expected):
 
 def test_element_sets_need_a_step_and_a_duration(tmp_path):
     (tmp_path / "a.tle").write_text(VANGUARD)
-    with pytest.raises(UserError, match=r"step, duration: expected the sampling interval"):
+    with pytest.raises(UserError, match=r"expected the sampling interval.* Set step=SECONDS and duration="):
         Files("orbit", str(tmp_path / "a.tle"), step=60.0)
 
 

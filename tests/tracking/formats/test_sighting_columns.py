@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from entry import call
 
 from ahnn.errors import UserError
 from ahnn.tracking.formats.tracking_files import read_tracking
@@ -83,6 +84,7 @@ def test_satellites_units_of_the_sidecar_and_standard_deviations(table):
         ("range_km", "rnage_km", "declination; received 'rnage_km'; did you mean 'range"),
         ("azimuth_deg", "elevation", "declination; received 'elevation'"),
         ("time,", "t [UT1],", "column t: expected one of the time scales UTC, TAI, GPS, TT; received 'UT1'"),
+        ("station,", "epoch,", "row 2, column station: expected a column station with the name of the"),
         (",U,5", ",,5", "row 4, column station: expected a station name; received none"),
         ("43.5", "93.5", "row 4, column elevation: expected a number from -90 to 90"),
         ("00:01:00,V", "00:61:00,V", "row 3, column time: expected a time of day"),
@@ -94,3 +96,32 @@ def test_what_is_wrong_is_refused(table, old, new, said):
     with pytest.raises(UserError) as caught:
         read_tracking(table)
     assert said in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("typical", "mistake"), [(4_780_837, "metres given as km?"), (4.78, "kilometres given as m?"), (4780, "")]
+)
+def test_ranges_that_no_earth_satellite_has_are_told(table, caplog, capsys, typical, mistake):
+    lines = [f"2026-03-01T00:0{k}:00,{'UV'[k % 2]},{typical + k if k % 2 else 5000},10,10" for k in range(6)]
+    table.write_text("\n".join(["time,station,range_km,azimuth_deg,elevation_deg", *lines]))
+    read_tracking(table)
+    said = [record.getMessage() for record in caplog.records]
+    assert len(said) == bool(mistake)
+    if mistake:
+        assert f"{table}, column range: ranges of V of typically {typical + 3:,.4g} km" in said[0]
+        assert said[0].endswith(mistake)
+    assert call("ahnn.data.__main__", "check", str(table)) == 0
+    assert f"0 faults, {1 if mistake else 0} warning" in capsys.readouterr().out
+
+
+def test_sightings_without_stations_are_one_fault_unless_they_are_coordinates(table, capsys):
+    rows = [f"{60 * k},{5000 + k},{10 + k},{20 + k}" for k in range(9)]
+    table.write_text("\n".join(["time,range_km,azimuth_deg,elevation_deg", *rows, *rows]))
+    assert call("ahnn.data.__main__", "check", str(table)) == 2
+    assert "1 fault, 0 warnings" in capsys.readouterr().out
+    with pytest.raises(UserError, match="column station: expected a column station with the name"):
+        read_tracking(table)
+    table.write_text("\n".join(["time,range,azimuth,elevation", *rows]))
+    table.with_suffix(".yaml").write_text("columns: {time: time, positions: [range, azimuth, elevation]}")
+    call("ahnn.data.__main__", "check", str(table))
+    assert "column station" not in " ".join(capsys.readouterr().out.split())
