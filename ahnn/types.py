@@ -111,8 +111,16 @@ class Space(NamedTuple):
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom n."""
-        return len(self.components) // 2
+        """Degrees of freedom n.
+
+        Raises:
+            UserError: the components are not pairs of positions and momenta.
+        """
+        size = len(self.components)
+        if size < 2 or size % 2:
+            message = f"space: expected 2n components, positions first; received {size}: {self.components}"
+            raise UserError(message)
+        return size // 2
 
     @property
     def factor(self) -> float | Tensor:
