@@ -69,7 +69,18 @@ def in_short(values: tuple[Any, ...]) -> str:
 
 
 class Units(NamedTuple):
-    """Names of the physical units."""
+    """Names of the physical units, "1" if dimensionless.
+
+    Tensors are neither converted to these units nor checked against them, nor are the units checked against
+    each other; any name is accepted as a label. Choose units that fit together, such as s, km and km/s.
+    Values in files are converted by their units, which must be known.
+
+    Attributes:
+        time: unit of times and steps.
+        position: unit of positions; with "rad", all coordinates are angles.
+        velocity: unit of dq/dt, position per time.
+        energy: unit of energies.
+    """
 
     time: str = "1"
     position: str = "1"
