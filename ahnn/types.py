@@ -175,7 +175,8 @@ class Trajectories(NamedTuple):
 
     Attributes:
         states: (B, T, D) float64; a sample with any NaN is missing.
-        times: (B, T) float64, increasing in each row; NaN only where the sample is missing.
+        times: (B, T) float64, increasing in each row; NaN only where the sample is missing. (T,) times are
+            shared by all trajectories.
         controls: (B, T, m) float64, each valid from its sample; None without controls.
         linear: whether controls are interpolated linearly between samples instead of held.
     """
@@ -196,6 +197,10 @@ class Trajectories(NamedTuple):
     def present(self) -> Tensor:
         """(B, T) bool, whether a sample is present."""
         return self.states.isfinite().all(-1) & self.times.isfinite()
+
+    def each_timed(self) -> Trajectories:
+        """Return the trajectories with times (B, T); shared times (T,) are expanded without a copy."""
+        return self._replace(times=self.times.expand(self.states.shape[:2]))
 
     def part(self, rows: slice) -> Trajectories:
         """Return selected trajectories; times (T,) that all share are kept."""

@@ -74,7 +74,7 @@ def check_trajectories(given: Trajectories, space: Space) -> Trajectories:
             received = float(part[beyond][0])
             message = f"{name}: expected {FINITE}, NaN where a sample is absent; received {received:g}"
             raise UserError(message)
-    trajectories = Trajectories(states, times.expand(states.shape[:2]))
+    trajectories = Trajectories(states, times).each_timed()
     steps = trajectories.times.diff(dim=1)
     if bool((steps <= 0).any()):
         b, k = (int(n) for n in (steps <= 0).nonzero()[0])
