@@ -14,7 +14,7 @@ class Occupied(UserError):
 
 
 class TrainingError(RuntimeError):
-    """Training cannot continue (for example a non-finite loss); the message states where it stopped."""
+    """Training (for example a non-finite loss), a prediction or a fit fails; the message states where."""
 
 
 TERMINATIONS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))

@@ -6,7 +6,7 @@ output=FOLDER       default: report/ in the first folder; an earlier report is r
 report.figures=false            tables and claims only
 report.confidence=0.95          confidence level of the intervals behind rankings and claims
 
-Output: report.html, readable offline, tables.csv, tables/*.tex and figures/*.png, *.svg.
+Output: report.html, readable offline, tables.csv, tables/*.tex and figures/*.png, *.svg, *.pdf.
 """
 
 from __future__ import annotations

@@ -49,6 +49,7 @@ class Statistics(NamedTuple):
     @classmethod
     def of(cls, trajectories: Trajectories, examples: int = 20_000) -> Statistics:
         """Compute the statistics of trajectories; missing samples and their adjacent steps are ignored."""
+        trajectories = trajectories.each_timed()
         dt = sampling_interval(trajectories)
         uniform = isinstance(dt, float)
         spread = trajectories.spread()

@@ -69,7 +69,18 @@ def in_short(values: tuple[Any, ...]) -> str:
 
 
 class Units(NamedTuple):
-    """Names of the physical units."""
+    """Names of the physical units, "1" if dimensionless.
+
+    Tensors are neither converted to these units nor checked against them, nor are the units checked against
+    each other; any name is accepted as a label. Choose units that fit together, such as s, km and km/s.
+    Values in files are converted by their units, which must be known.
+
+    Attributes:
+        time: unit of times and steps.
+        position: unit of positions; with "rad", all coordinates are angles.
+        velocity: unit of dq/dt, position per time.
+        energy: unit of energies.
+    """
 
     time: str = "1"
     position: str = "1"
@@ -111,8 +122,16 @@ class Space(NamedTuple):
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom n."""
-        return len(self.components) // 2
+        """Degrees of freedom n.
+
+        Raises:
+            UserError: the components are not pairs of positions and momenta.
+        """
+        size = len(self.components)
+        if size < 2 or size % 2:
+            message = f"space: expected 2n components, positions first; received {size}: {self.components}"
+            raise UserError(message)
+        return size // 2
 
     @property
     def factor(self) -> float | Tensor:
@@ -156,7 +175,8 @@ class Trajectories(NamedTuple):
 
     Attributes:
         states: (B, T, D) float64; a sample with any NaN is missing.
-        times: (B, T) float64, increasing in each row; NaN only where the sample is missing.
+        times: (B, T) float64, increasing in each row; NaN only where the sample is missing. (T,) times are
+            shared by all trajectories.
         controls: (B, T, m) float64, each valid from its sample; None without controls.
         linear: whether controls are interpolated linearly between samples instead of held.
     """
@@ -177,6 +197,10 @@ class Trajectories(NamedTuple):
     def present(self) -> Tensor:
         """(B, T) bool, whether a sample is present."""
         return self.states.isfinite().all(-1) & self.times.isfinite()
+
+    def each_timed(self) -> Trajectories:
+        """Return the trajectories with times (B, T); shared times (T,) are expanded without a copy."""
+        return self._replace(times=self.times.expand(self.states.shape[:2]))
 
     def part(self, rows: slice) -> Trajectories:
         """Return selected trajectories; times (T,) that all share are kept."""

@@ -104,6 +104,14 @@ def test_noise_of_numbers_from_outside_makes_them_measurements_unless_a_recipe_i
     assert OmegaConf.to_container(found) == OmegaConf.to_container(named)
 
 
+def test_columns_that_are_missing_are_named_as_positions(tmp_path):
+    """Whoever forgets the velocities must not look for the mistake in the noise."""
+    data = ahnn.Trajectories(torch.rand(30, 50, 2, dtype=torch.float64), 0.1 * torch.arange(50.0))
+    space = ahnn.Space("plane", ("x", "y", "vx", "vy"))
+    with pytest.raises(ahnn.UserError, match=r"\(2 columns read as x, y of a space with 4 components\)"):
+        ahnn.fit(data, space, ["model=hnn"], folder=tmp_path / "run")
+
+
 @pytest.mark.slow
 def test_the_same_numbers_make_the_same_run(tmp_path):
     columns, noise, asked = CASES["states with a noise of each component"]

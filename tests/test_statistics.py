@@ -56,6 +56,16 @@ def test_statistics_are_those_of_neighbouring_samples(uniform):
 
 
 @pytest.mark.parametrize("uniform", [True, False])
+def test_times_that_all_share_are_the_times_of_each(uniform):
+    own = sampled(0, uniform=uniform)
+    controls = torch.randn(4, 30, 1, generator=generator(3), dtype=torch.float64)
+    shared = own._replace(times=own.times[0], controls=controls)
+    own = shared._replace(times=own.times[:1].repeat(4, 1))
+    for got, expected in zip(Statistics.of(shared), Statistics.of(own), strict=True):
+        assert torch.equal(torch.as_tensor(got), torch.as_tensor(expected))
+
+
+@pytest.mark.parametrize("uniform", [True, False])
 def test_examples_are_evenly_thinned_and_all_else_is_of_all_samples(uniform):
     data = sampled(1, uniform=uniform)
     whole, some = Statistics.of(data), Statistics.of(data, examples=20)

@@ -1,8 +1,8 @@
 """Conversion of errors into one message and an exit code.
 
-Exit codes: 0 done, 2 user error, 3 training failed, 128 + n stopped by signal n: 130 for Ctrl-C, 143 for
-SIGTERM and 129 for SIGHUP. A closed pipe, as with `| head`, gives the code of SIGPIPE, 141, without a
-message.
+Exit codes: 0 done, 2 user error, 3 training, a prediction or a fit failed, 128 + n stopped by signal n: 130
+for Ctrl-C, 143 for SIGTERM and 129 for SIGHUP. A closed pipe, as with `| head`, gives the code of SIGPIPE,
+141, without a message.
 """
 
 from __future__ import annotations

@@ -17,6 +17,7 @@ from ahnn.data.sensor import Sensor
 from ahnn.data.sources import Observed
 from ahnn.errors import UserError
 from ahnn.systems import System
+from ahnn.types import Space
 
 if TYPE_CHECKING:
     from ahnn.evaluation import EvaluationPlugin
@@ -93,7 +94,7 @@ def build_recorded(options: dict[str, Any], source: Recordings | Observed) -> Re
     if noise is None and not source.positions_only and measured is None:
         return None
     if noise is None or (source.positions_only and measured == "state"):
-        known = "only positions" if source.positions_only else f"data.measured={measured}"
+        known = _positions_read(source.space) if source.positions_only else f"data.measured={measured}"
         message = (
             "data.noise: expected the standard deviations of the measurements and, if only positions are "
             "measured, a model with known kinetic energy, such as hamiltonian=mechanical; "
@@ -104,6 +105,14 @@ def build_recorded(options: dict[str, Any], source: Recordings | Observed) -> Re
     options = {**kept, "measured": kind}
     check_arguments("data", Recorded, options, ("space", "every", "gaps", "outliers", "freedom", "seed"))
     return Recorded(source.space, **options)
+
+
+def _positions_read(space: Space) -> str:
+    """Return what was read as positions without momenta, since columns may be missing by mistake."""
+    names = space.components[: space.dof]
+    columns = f"{len(names)} column" + "s" * (len(names) > 1)
+    read = f"{columns} read as {', '.join(names)} of a space with {len(space.components)} components"
+    return f"only positions ({read})"
 
 
 def build_sighted(options: dict[str, Any], source: Observed) -> Recorded:

@@ -18,7 +18,7 @@ from ahnn.types import Space, Trajectories, Units
 
 
 def check_space(space: Space) -> None:
-    """Raise UserError for invalid names, units or inertia."""
+    """Raise UserError for invalid names, units or inertia, or an odd number of components."""
     if not isinstance(space, Space):
         message = f"space: expected ahnn.Space(name, components); received {described(space)}"
         raise UserError(message)
@@ -31,15 +31,10 @@ def check_space(space: Space) -> None:
         if not text.strip() or not text.isprintable() or "$" in text:
             message = f"space: expected printable names and units without $; received {text!r}"
             raise UserError(message)
+    dof = space.dof  # raises unless the components are pairs
     masses = space.inertia if isinstance(space.inertia, tuple) else (space.inertia,)
-    if not all(fits(mass, Positive) for mass in masses) or len(masses) not in (1, space.dof):
-        message = (
-            f"space.inertia: expected finite numbers > 0, one or {space.dof}; received {space.inertia!r}"
-        )
-        raise UserError(message)
-    size = len(space.components)
-    if size < 2 or size % 2:
-        message = f"space: expected 2n components, positions first; received {size}: {space.components}"
+    if not all(fits(mass, Positive) for mass in masses) or len(masses) not in (1, dof):
+        message = f"space.inertia: expected finite numbers > 0, one or {dof}; received {space.inertia!r}"
         raise UserError(message)
     named = (*space.components, *space.controls)
     if again := [name for name in named if named.count(name) > 1]:
@@ -79,7 +74,7 @@ def check_trajectories(given: Trajectories, space: Space) -> Trajectories:
             received = float(part[beyond][0])
             message = f"{name}: expected {FINITE}, NaN where a sample is absent; received {received:g}"
             raise UserError(message)
-    trajectories = Trajectories(states, times.expand(states.shape[:2]))
+    trajectories = Trajectories(states, times).each_timed()
     steps = trajectories.times.diff(dim=1)
     if bool((steps <= 0).any()):
         b, k = (int(n) for n in (steps <= 0).nonzero()[0])

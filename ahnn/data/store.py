@@ -181,7 +181,7 @@ def read(path: Path) -> Trajectories:
     if checksum_in(path, states.shape, times) != metadata["sha256"]:
         message = "checksum mismatch"
         raise ValueError(message)
-    return Trajectories(states, times.expand(states.shape[:2]))
+    return Trajectories(states, times).each_timed()
 
 
 def checksum_in(path: Path, states: Sequence[int], times: Tensor) -> str:

@@ -147,6 +147,13 @@ def test_what_does_not_fit_is_refused_with_what_came(change, message):
         checked(**change)
 
 
+@pytest.mark.parametrize("components", [(), ("q",), ("q", "p", "r")])
+def test_components_that_are_no_pairs_have_no_degrees_of_freedom(components):
+    for name in ("dof", "scales", "angular"):
+        with pytest.raises(UserError, match=f"expected 2n components.*received {len(components)}"):
+            getattr(Space("odd", components), name)
+
+
 def test_no_whole_sample_is_no_trajectory():
     states = STATES.clone()
     states[1, :, 2] = torch.nan

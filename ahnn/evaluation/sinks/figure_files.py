@@ -1,8 +1,10 @@
-"""Figure files: PNG for viewing, SVG for printing."""
+"""Figure files: PNG for viewing, SVG for printing, PDF for LaTeX."""
 
 from __future__ import annotations
 
 import io
+import logging
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, final
@@ -22,6 +24,9 @@ FORMATS: dict[str, dict[str, Any]] = {
     ".png": {"dpi": DPI},
     ".svg": {"dpi": DPI, "metadata": {"Date": None}},  # reproducible files
 }
+PRINTED = FORMATS | {".pdf": {"dpi": DPI, "metadata": {"CreationDate": None}}}
+"""Formats of a report; a PDF takes as long as a PNG, so figures of runs are written without it."""
+logging.getLogger("fontTools").setLevel(logging.WARNING)  # a PDF would log fifty lines about its fonts
 _DRAWN: WeakKeyDictionary[Figure, dict[str, bytes]] = WeakKeyDictionary()
 
 
@@ -52,9 +57,9 @@ def clear(folder: Path) -> None:
         remove_own(path)
 
 
-def pictures_in(folder: Path) -> list[Path]:
-    """Return the files of a folder with figure names, of any origin."""
-    return sorted(p for p in folder.iterdir() if p.suffix in FORMATS) if folder.is_dir() else []
+def pictures_in(folder: Path, formats: Iterable[str] = tuple(FORMATS)) -> list[Path]:
+    """Return the files of a folder with names of figures in some formats, of any origin."""
+    return sorted(p for p in folder.iterdir() if p.suffix in formats) if folder.is_dir() else []
 
 
 def drawn(figure: Figure, suffix: str) -> bytes:
@@ -62,8 +67,9 @@ def drawn(figure: Figure, suffix: str) -> bytes:
     contents = _DRAWN.setdefault(figure, {})
     if suffix not in contents:
         buffer = io.BytesIO()
-        with rc_context({"svg.hashsalt": "ahnn"}):
-            figure.savefig(buffer, format=suffix[1:], **FORMATS[suffix])
+        # Many journals reject fonts of type 3, the default in PDF.
+        with rc_context({"svg.hashsalt": "ahnn", "pdf.fonttype": 42}):
+            figure.savefig(buffer, format=suffix[1:], **PRINTED[suffix])
         figure.set_layout_engine()  # a layout engine would draw once more, although the layout is fixed
         contents[suffix] = buffer.getvalue()
     return contents[suffix]

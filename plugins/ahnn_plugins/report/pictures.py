@@ -6,7 +6,7 @@ from importlib.util import find_spec
 from typing import NamedTuple
 
 from ahnn.errors import UserError
-from ahnn.evaluation.sinks.figure_files import FORMATS, drawn
+from ahnn.evaluation.sinks.figure_files import PRINTED, drawn
 from ahnn.progress import track
 from ahnn_plugins.report.collection import Collection
 from ahnn_plugins.report.drawing import Drawing
@@ -58,7 +58,7 @@ def pictures(collection: Collection) -> list[Picture]:
     made = []
     for drawing in track(drawings, "drawing figures", len(drawings)):
         figure = to_matplotlib(drawing)
-        files = {suffix: drawn(figure, suffix) for suffix in FORMATS}
+        files = {suffix: drawn(figure, suffix) for suffix in PRINTED}
         made.append(Picture(drawing, Markup(to_html(drawing)), files))
     return made
 

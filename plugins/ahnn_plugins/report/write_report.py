@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, final
 
 from ahnn.arguments import Within, checked
-from ahnn.evaluation.sinks.figure_files import pictures_in
+from ahnn.evaluation.sinks.figure_files import PRINTED, pictures_in
 from ahnn.files import claimed, require_writable, write_atomically
 from ahnn.manifest import remove_own, require_folder
 from ahnn_plugins.report import many, single
@@ -29,7 +29,7 @@ FOLDERS = ("figures", "tables")
 @checked
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """Writer of report.html, tables.csv, tables/*.tex and *.md, and figures/*.png and *.svg.
+    """Writer of report.html, tables.csv, tables/*.tex and *.md, and figures/*.png, *.svg, *.pdf.
 
     Attributes:
         confidence: confidence level of rankings and claims.
@@ -126,4 +126,4 @@ def earlier(output: Path) -> list[Path]:
     """Return the tables and figures in a report folder, of any origin."""
     tables = output / "tables"
     found = [p for p in tables.iterdir() if p.suffix in (".tex", ".md")] if tables.is_dir() else []
-    return [*pictures_in(output / "figures"), *sorted(found)]
+    return [*pictures_in(output / "figures", PRINTED), *sorted(found)]

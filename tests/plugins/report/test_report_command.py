@@ -23,15 +23,21 @@ def test_files_stand_beside_the_page_and_those_of_an_earlier_report_make_way(run
     assert call("ahnn.report", str(run)) == 0
     assert "1 run, 2 figures" in capsys.readouterr().out
     folder = run / "report"
-    write_atomically(folder / "figures" / "old.png", b"old")
+    for suffix in (".png", ".pdf"):
+        write_atomically(folder / "figures" / f"old{suffix}", b"old")
     write_atomically(folder / "tables" / "old.tex", b"old")
     (folder / "notes.txt").write_text("mine")
     assert call("ahnn.report", f"run={run}") == 0
     names = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
     names -= {f"{place}.ahnn-files" for place in ("", "figures/", "tables/")}
-    pictures_of = {f"figures/{n}{s}" for n in ("mass_spring_orbit", "_curve") for s in (".png", ".svg")}
+    pictures_of = {
+        f"figures/{n}{s}" for n in ("mass_spring_orbit", "_curve") for s in (".png", ".svg", ".pdf")
+    }
     table = ("tables/scores_mass_spring.tex", "tables/scores_mass_spring.md")
     assert names == {"report.html", "tables.csv", *table, "notes.txt", *pictures_of}
+    printed = (folder / "figures" / "_curve.pdf").read_bytes()
+    assert printed.startswith(b"%PDF")
+    assert all(word not in printed for word in (b"Type3", b"CreationDate"))
     text = (folder / "report.html").read_text()
     assert "A &lt;b&gt;curve&lt;/b&gt;" in text
     assert text.count("Seen from above.") == 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from statistics import geometric_mean
+from statistics import fmean
 from typing import Literal, NamedTuple, get_args
 
 import torch
@@ -27,7 +27,7 @@ SEEDS = 0.06
 FAR = 100.0
 """Ratio of scores to a floor above which the floor is stated, not drawn: scores would look like a line."""
 SIDES = "Left: without measurements; right: with the filter. "
-SPREAD = "Small dots: the seeds; large dots: their geometric mean."
+SPREAD = "Small dots: the seeds; large dots: their arithmetic mean, as in the tables."
 TABLES = "The tables give mean ± standard deviation over the seeds. "
 """This interval may reach below zero, which a log axis cannot show, so the seeds are drawn instead."""
 MEANING = "RMSE: mean over test trajectories of the rms vector norm; floor: score of the exact equations."
@@ -133,11 +133,12 @@ def _printed(system: str, model: str, start: str, quantity: Quantity, at: tuple[
 
 
 def _dots(label: str, dots: Sequence[Dot], role: Role, slot: int = 0) -> list[Series]:
-    """Return one series of geometric means and one of seeds, from positive, drawable values only."""
+    """Return one series of arithmetic means and one of seeds, without values that a log axis cannot show."""
     means, seeds = [], []
     for dot in dots:
-        values = [v for v in dot.values if 0 < v < LOST]
-        means += [(dot.place, geometric_mean(values))] if values else []
+        values = [v for v in dot.values if 0 <= v < LOST]
+        means += [(dot.place, fmean(values))] if any(values) else []
+        values = [v for v in values if v > 0]
         sides = (dot.place + SEEDS * (1 if i % 2 else -1) for i in range(len(values)))
         seeds += zip(sides, values, strict=True) if len(values) > 1 else []
     both: tuple[tuple[Role, list[tuple[float, float]]], ...] = ((role, means), ("seed", seeds))
