@@ -221,6 +221,7 @@ MISTAKES = {
         "expected the date of time zero",
     ),
     "typo": ([MOLNIYA, START, "duraton=1h"], "did you mean 'duration'?"),
+    "no such key": ([MOLNIYA, START, "duration=1h", "plot=true"], "key 'plot'; --help lists the keys"),
     "deviations": ([MOLNIYA, START, "duration=1h", "start_sd=[1,1,1]"], "start_sd: expected 6 numbers > 0"),
     "no deviation": ([MOLNIYA, START, "duration=1h", "start_sd=[1,0]"], "start_sd: expected"),
     "columns": ([MOLNIYA, "start=other.csv", "duration=1"], "expected positions x, y, z"),
