@@ -48,7 +48,7 @@ MISTAKES = {
     "data.noise=10mm": "data.noise: expected a number in m, a list of numbers, or estimate; received '10mm'",
     "data.every=4": "data.noise: expected standard deviations with {'every': 4}; received null",
     "data.gaps=1": "data.noise: expected standard deviations with {'gaps': 1}; received null",
-    "data.measured=position data.noise=0.01": "expected measured states for a loss on windows; received q1",
+    "data.measured=position data.noise=0.01": "expected measured states for a loss on windows; received q.",
     "recipe=measurements": "loss.stages: expected measurements; received exact states",
     "recipe=measurements data.measured=position data.noise=0.01": "Use hamiltonian=mechanical",
     "recipe=measurements data.noise=0.01 loss.stages=[[4,0.5]]": "loss.stages: expected intervals >= 3",

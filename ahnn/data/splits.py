@@ -129,7 +129,7 @@ class SplitData:
         assert self.sensor is not None
         level = differences_level(*looked_at(*self.measured("train")))
         if not bool((level > 0).all()):
-            names = zip(self.sensor.names, level.tolist(), strict=True)
+            names = zip(self.sensor.measurement.names, level.tolist(), strict=True)
             message = (
                 "data.noise: expected samples dense enough for a first estimate of the noise from their "
                 f"differences; received sparser ones: {', '.join(name for name, sd in names if not sd > 0)}. "
