@@ -200,11 +200,11 @@ def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def nearest(name: str, known: Any) -> str:
-    """Return '; did you mean ...?' with the closest known name, or the list of names."""
+def nearest(name: str, known: Any, otherwise: str = "") -> str:
+    """Return '; did you mean ...?' with a known name that is close, else `otherwise` or the list of names."""
     names = [str(k) for k in known]
-    close = get_close_matches(name, names, n=1, cutoff=0.5)
-    return f"; did you mean {close[0]!r}?" if close else f"; it takes {', '.join(names)}"
+    close = get_close_matches(name, names, n=1)
+    return f"; did you mean {close[0]!r}?" if close else otherwise or f"; it takes {', '.join(names)}"
 
 
 PLAIN = {float: (int, float), int: int, str: str, bool: bool, NoneType: NoneType}

@@ -26,12 +26,22 @@ log = logging.getLogger("ahnn")
 _note: ContextVar[Callable[[str], None] | None] = ContextVar("note", default=None)
 
 
+def _console() -> Console:
+    """Return standard error as a console; quiet unless it is a terminal.
+
+    A disabled bar of Rich before version 14.3 otherwise ends with an empty line.
+    """
+    console = Console(stderr=True)
+    console.quiet = not console.is_terminal
+    return console
+
+
 def progress_bar(*columns: TextColumn) -> Progress:
     """Return a transient progress bar with description, fraction done, time left and further columns.
 
     It is silent if standard error is not a terminal.
     """
-    console = Console(stderr=True)
+    console = _console()
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -40,7 +50,7 @@ def progress_bar(*columns: TextColumn) -> Progress:
         TimeRemainingColumn(),
         console=console,
         transient=True,
-        disable=not console.is_terminal,
+        disable=console.quiet,
     )
 
 
@@ -53,9 +63,9 @@ def track(items: Iterable[T], description: str, total: int) -> Iterator[T]:
 @contextmanager
 def stage(description: str) -> Iterator[None]:
     """Show the notes and elapsed time of a stage of unknown length; in a log, one line every half minute."""
-    console = Console(stderr=True)
+    console = _console()
     columns = TextColumn("{task.description}"), BarColumn(20), TimeElapsedColumn()
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with Progress(*columns, console=console, transient=True, disable=console.quiet) as bar:
         task, began = bar.add_task(description, total=None), time.monotonic()
         due = began + SELDOM
 

@@ -81,9 +81,10 @@ def test_objects_that_are_built_already_pass():
     assert not fits(3.0, MassSpring)
 
 
-def test_the_nearest_name_is_offered_or_all_of_them():
+def test_a_close_name_is_offered_or_all_of_them():
     assert nearest("modle", ["model", "data"]) == "; did you mean 'model'?"
-    assert nearest("xyz", ["model", "data"]) == "; it takes model, data"
+    assert nearest("plot", ["ckpt", "data"]) == "; it takes ckpt, data"
+    assert nearest("plot", ["ckpt", "data"], "; see --help") == "; see --help"
 
 
 def built(parent, *, size: int, pair: tuple[float, float] = (0.0, 1.0)) -> None: ...

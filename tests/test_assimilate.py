@@ -104,7 +104,7 @@ MISTAKES = {
     "measurements=fixes.csv output=fixes.csv": "output: expected a new file",
     "measurements=fixes.csv start=[1,2]": "start: expected one or more states [x [km], y",
     "measurements=fixes.csv start_sd=[1,2,3]": "start_sd: expected 6 numbers > 0",
-    "measurements=fixes.csv measurement.sd=[1,2]": "measurement.sd: expected a standard deviation > 0",
+    "measurements=fixes.csv measurement.sd=[1,2]": "expected a standard deviation > 0 for each of x [km], y",
     "measurements=fixes.csv measurement=ground_station": "expected a header with time and range, az",
     "measurements=fixes.csv measurement=ground_station measurement.model.mass=2": "expected mass=1",
     "measurements=fixes.csv plugins.ukf.bias_sd=1": "define it (measurement.bias_sd)",

@@ -48,7 +48,7 @@ MISTAKES = {
     "data.noise=10mm": "data.noise: expected a number in m, a list of numbers, or estimate; received '10mm'",
     "data.every=4": "data.noise: expected standard deviations with {'every': 4}; received null",
     "data.gaps=1": "data.noise: expected standard deviations with {'gaps': 1}; received null",
-    "data.measured=position data.noise=0.01": "expected measured states for a loss on windows; received q1",
+    "data.measured=position data.noise=0.01": "expected measured states for a loss on windows; received q.",
     "recipe=measurements": "loss.stages: expected measurements; received exact states",
     "recipe=measurements data.measured=position data.noise=0.01": "Use hamiltonian=mechanical",
     "recipe=measurements data.noise=0.01 loss.stages=[[4,0.5]]": "loss.stages: expected intervals >= 3",
@@ -99,6 +99,9 @@ MISTAKES = {
     f"{GL4} integrator.max_iterations=x": "integrator gl4.max_iterations: expected int",
     f"{GL4} integrator.max_iterations=2.7": "integrator gl4.max_iterations: expected int from 1 to 1000",
     # values that we judge
+    "data.split=[0.9,0.3,0.1]": "ahnn: data.split: expected three positive fractions",
+    "data.trajectories=1": "ahnn: data.split: expected at least one trajectory in each part",
+    "system=three_body system.masses=[1.0,2.0]": "ahnn: system.masses: expected one number for each of 3",
     **{f"trainer.max_epochs={n}": "trainer.max_epochs: expected" for n in ("two", "2.5", "null", "-1", "0")},
     "seed=4294967296": "seed: expected int from 0 to 4294967295; received 4294967296",
     "data.seed=9e22": "data.seed: expected int from 0 to 4294967295",

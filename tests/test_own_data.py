@@ -106,9 +106,9 @@ def test_wrong_standard_deviations_are_named_before_a_training_and_below_its_tab
     assert "noise of q 0.0099 m (standard deviations), unless" in (told := capfd.readouterr().err)
     assert "data.noise differs" in told
     (row,) = ahnn.load(tmp_path / "run").results.rows
-    about, _, rest = row.note.partition(" times too large for q")
+    about, _, rest = row.note.partition(" times too large for q ")
     assert 4 < float(about.rsplit("data.noise is about ", 1)[1]) < 14
-    assert rest.startswith("1 (data.noise=estimate finds it)")  # q1
+    assert rest.startswith("(data.noise=estimate finds it)")
 
 
 @pytest.mark.slow

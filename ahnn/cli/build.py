@@ -61,7 +61,7 @@ def factory(who: str, part: Part) -> Callable[..., Any]:
         with blaming(who):
             made = instantiate(part.node, _convert_="all", _partial_=True)
         passed = {name: value for name, value in offered.items() if name in taken}
-        call = blaming(who)(functools.partial(made, **passed))
+        call = blaming(who, taken.keys() - passed.keys())(functools.partial(made, **passed))
         if partial:
             return call
         thing = call()
@@ -107,11 +107,22 @@ def build(node: Any, who: str, kind: type = object, **offered: Any) -> Any:
 
 
 @contextlib.contextmanager
-def blaming(who: str) -> Iterator[None]:
-    """Convert constructor errors into messages that name the configuration node."""
+def blaming(who: str, own: Collection[str] = ()) -> Iterator[None]:
+    """Convert constructor errors into messages that name the configuration node.
+
+    Args:
+        who: name of the node.
+        own: arguments that the user sets; a message that begins with one of them gets its full key.
+    """
     try:
         yield
-    except (UserError, TrainingError, OSError, AssertionError):  # these errors are already clear
+    except UserError as error:
+        name, colon, _ = str(error).partition(":")
+        if colon and name in own:
+            message = f"{who}.{error}"
+            raise UserError(message) from error
+        raise
+    except (TrainingError, OSError, AssertionError):  # these errors are already clear
         raise
     except Exception as error:
         cause = error.__cause__ if isinstance(error, InstantiationException) and error.__cause__ else error

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
+from inspect import signature
 from pathlib import Path
 from typing import TypeVar
 
-from ahnn.arguments import check_arguments
+from ahnn.arguments import check_arguments, nearest
 from ahnn.cli.commandline import pair
 from ahnn.errors import UserError
 
@@ -28,8 +29,16 @@ def read_pairs(arguments: list[str], schema: type[T], usage: str) -> T:
         message = f"{usage}; received nothing"
         raise UserError(message)
     values = dict(map(pair, arguments))
+    require_known(values, signature(schema).parameters)
     check_arguments("", schema, values)
     return schema(**values)
+
+
+def require_known(given: Iterable[str], known: Collection[str]) -> None:
+    """Raise UserError for a key that a command does not have."""
+    if unknown := [key for key in given if key not in known]:
+        message = f"unknown key {unknown[0]!r}{nearest(unknown[0], known, '; --help lists the keys')}"
+        raise UserError(message)
 
 
 def divided(arguments: Iterable[str], keys: Collection[str] = ()) -> tuple[list[Path], list[str]]:

@@ -12,7 +12,7 @@ import torch
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from torch import Tensor
 
-from ahnn.arguments import check_arguments, nearest
+from ahnn.arguments import check_arguments
 from ahnn.assimilation import Assimilation, Catalogue, Process, StreamSensor
 from ahnn.assimilation.assimilation_record import require_orbit
 from ahnn.assimilation.object_shard import ObjectShard
@@ -21,6 +21,7 @@ from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.cli.build import blaming, build, build_all, plain_config
 from ahnn.cli.compose import composed
 from ahnn.cli.orbit_following import read_following
+from ahnn.cli.pairs import require_known
 from ahnn.cli.parts import build_sensor, build_source
 from ahnn.cli.reevaluation import GROUPS, KEYS, NODES, OWN, Request, run_config
 from ahnn.cli.stream_gate import AskedGate, with_gate
@@ -97,9 +98,7 @@ def asked(arguments: list[str], usage: str) -> tuple[AssimilationRequest, DictCo
     given = ["watch=true" if argument == "--watch" else argument for argument in arguments]
     own = composed("assimilate", [])
     known = {*own, *OWN, *GROUPS, *NODES, *KEYS}
-    if unknown := [key for text in given if "=" in text and (key := _key(text)) not in known]:
-        message = f"unknown key {unknown[0]!r}{nearest(unknown[0], sorted(known))}"
-        raise UserError(message)
+    require_known((_key(text) for text in given if "=" in text), sorted(known))
     mine = [BIAS.sub("++", text, count=1) for text in given if _key(text) in own]
     request = Request.of([text for text in given if _key(text) not in own], usage)
     cfg = composed("assimilate", mine)

@@ -149,7 +149,8 @@ class WindowDataModule(LightningDataModule):
         if self.sensor.unknown.sizes:
             return None
         stated = None if self.stages is None else self.sensor.deviations
-        return remark_on(*self.measured("train"), self.sensor.names, self.sensor.measurement.units, stated)
+        seen = self.sensor.measurement
+        return remark_on(*self.measured("train"), seen.names, seen.units, stated)
 
     def feed(self, trainer: Trainer) -> None:
         """Gather batches on the trainer's device; to be called before the first batch is requested."""

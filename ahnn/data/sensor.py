@@ -96,9 +96,7 @@ class Sensor:
             )
             raise UserError(message)
         stated = 1.0 if isinstance(noise, str) else noise  # replaced by estimates from sample differences
-        names = space.components[: len(measured_by.names)] if isinstance(measured, str) else None
-        self.names: tuple[str, ...] = names or measured_by.names
-        self.deviations = noise_deviations(measured_by, stated, "data.noise", names)
+        self.deviations = noise_deviations(measured_by, stated, "data.noise")
         biases = Biases.of(measured_by, bias_sd, None, "data.")
         prior = None if biases is None else torch.tensor(biases.deviations, dtype=torch.float64)
         self.unknown = UnknownNoise(sizes, correlation is not None, prior, tails is not None)

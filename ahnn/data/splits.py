@@ -81,7 +81,7 @@ class SplitData:
         then, now = (split_sizes(count, fractions) for fractions in (known["split"], self.fractions))
         if (part := then[0] + then[1] - now[0] - now[1]) > 0:
             message = (
-                "split: expected test trajectories not used in training; received "
+                "data.split: expected test trajectories not used in training; received "
                 f"{self.fractions}, and {part} of {now[2]} were used. Keep the split of the run, "
                 f"{known['split']}, or use another seed"
             )
@@ -129,7 +129,7 @@ class SplitData:
         assert self.sensor is not None
         level = differences_level(*looked_at(*self.measured("train")))
         if not bool((level > 0).all()):
-            names = zip(self.sensor.names, level.tolist(), strict=True)
+            names = zip(self.sensor.measurement.names, level.tolist(), strict=True)
             message = (
                 "data.noise: expected samples dense enough for a first estimate of the noise from their "
                 f"differences; received sparser ones: {', '.join(name for name, sd in names if not sd > 0)}. "
@@ -142,9 +142,8 @@ class SplitData:
 def check_fractions(fractions: list[float]) -> None:
     """Raise UserError for fractions that are not three positive numbers with sum 1."""
     if not (len(fractions) == 3 and all(s > 0 for s in fractions) and abs(sum(fractions) - 1) <= 1e-9):
-        message = (
-            f"split: expected three positive fractions that sum to 1 (train, val, test); received {fractions}"
-        )
+        expected = "three positive fractions that sum to 1 (train, val, test)"
+        message = f"data.split: expected {expected}; received {fractions}"
         raise UserError(message)
 
 
@@ -161,7 +160,7 @@ def split_sizes(count: int, fractions: list[float]) -> list[int]:
     sizes = [count - sum(rest), *rest]
     if count < len(SPLITS):
         message = (
-            f"split: expected at least one trajectory in each of {', '.join(SPLITS)}; received {count} "
+            f"data.split: expected at least one trajectory in each of {', '.join(SPLITS)}; received {count} "
             f"{'trajectory' if count == 1 else 'trajectories'}. Use more, or cut trajectories of files with "
             "system.cut"
         )

@@ -22,7 +22,7 @@ from ahnn.files import write_atomically
 from ahnn.jobs.asked_starts import asked_starts
 from ahnn.jobs.named import named_runs
 from ahnn.manifest import require_own
-from ahnn.measurements import Position, noise_deviations, observe
+from ahnn.measurements import noise_deviations, observe, reading
 from ahnn.measurements.station_file import BiasedStation, read_stations
 from ahnn.prediction import durations
 from ahnn.prediction.measurement_plan import evenly_spaced, plan_measurements, variance_with
@@ -164,7 +164,7 @@ def fixes(sd: list[float] | float | None, run: Run) -> list[PlannedSensor]:
     if sd is None:
         message = "plan: expected stations=FILE or position_sd=NUMBER; received neither"
         raise UserError(message)
-    model = Position(run.space.dof, run.space.units.position)
+    model = reading("position", run.space)
     spread = noise_deviations(model, sd, "position_sd").double()
     return [PlannedSensor("fix", model, spread, torch.zeros_like(spread), joined=False)]
 

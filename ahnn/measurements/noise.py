@@ -19,7 +19,6 @@ def noise_deviations(
     measurement: Measurement,
     given: float | Sequence[float] | None,
     who: str,
-    names: Sequence[str] | None = None,
 ) -> Tensor:
     """Expand standard deviations to the M components of a measurement, (M,).
 
@@ -29,7 +28,6 @@ def noise_deviations(
             momenta; for several instruments of equal size, the values for one of them. None: the model's
             `deviations`, which must then exist.
         who: the parameter, for messages.
-        names: names of the components, for messages; None: the names in the model.
 
     Raises:
         UserError: wrong count, or numbers that are not positive and finite.
@@ -37,9 +35,7 @@ def noise_deviations(
     values, states = for_each_component(measurement, given), isinstance(measurement, State)
     if len(values) == len(measurement.names) and all(0.0 < v < math.inf for v in values):
         return require_squares(torch.tensor(values, dtype=torch.float64), who)
-    names = ", ".join(
-        f"{n} [{u}]" for n, u in zip(names or measurement.names, measurement.units, strict=True)
-    )
+    names = ", ".join(f"{n} [{u}]" for n, u in zip(measurement.names, measurement.units, strict=True))
     message = (
         f"{who}: expected a standard deviation > 0 for each of {names}"
         f"{', or one for each block,' if states else ''} or one for all; received {given}"

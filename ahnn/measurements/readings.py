@@ -16,10 +16,16 @@ class Position(Differing):
     Args:
         degrees_of_freedom: number n of degrees of freedom.
         unit: unit of all positions, or of each.
+        names: names of the n positions; None for q1, q2, ...
     """
 
-    def __init__(self, degrees_of_freedom: int = 3, unit: str | tuple[str, ...] = "km") -> None:
-        self.names = tuple(f"q{i + 1}" for i in range(degrees_of_freedom))
+    def __init__(
+        self,
+        degrees_of_freedom: int = 3,
+        unit: str | tuple[str, ...] = "km",
+        names: tuple[str, ...] | None = None,
+    ) -> None:
+        self.names = names or tuple(f"q{i + 1}" for i in range(degrees_of_freedom))
         self.units = of_each(unit, degrees_of_freedom)
 
     def __call__(self, x: Tensor, t: Time) -> Tensor:  # noqa: ARG002
@@ -37,14 +43,16 @@ class State(Differing):
     Args:
         degrees_of_freedom: number n of degrees of freedom.
         units: units of positions and of momenta, or of each.
+        names: names of the 2n components; None for q1, ..., p1, ...
     """
 
     def __init__(
         self,
         degrees_of_freedom: int = 3,
         units: tuple[str | tuple[str, ...], str | tuple[str, ...]] = ("km", "km/s"),
+        names: tuple[str, ...] | None = None,
     ) -> None:
-        self.names = tuple(f"{kind}{i + 1}" for kind in "qp" for i in range(degrees_of_freedom))
+        self.names = names or tuple(f"{kind}{i + 1}" for kind in "qp" for i in range(degrees_of_freedom))
         self.units = sum((of_each(unit, degrees_of_freedom) for unit in units), ())
 
     def __call__(self, x: Tensor, t: Time) -> Tensor:  # noqa: ARG002
@@ -62,7 +70,7 @@ def of_each(unit: str | tuple[str, ...], count: int) -> tuple[str, ...]:
 
 
 def reading(name: str, space: Space) -> Measurement:
-    """Build the measurement named `position` or `state` of a space.
+    """Build the measurement named `position` or `state` of a space, with the names of its components.
 
     Raises:
         ValueError: unknown name.
@@ -70,9 +78,9 @@ def reading(name: str, space: Space) -> Measurement:
     alike = [of_coordinates(space, angle=angle) for angle in space.angular]
     positions = tuple(one.units.position for one in alike)
     if name == "position":
-        return Position(space.dof, positions)
+        return Position(space.dof, positions, space.components[: space.dof])
     if name == "state":
         momenta = [f"{s.units.velocity} · mass" if s.mechanical else momentum_unit(s) for s in alike]
-        return State(space.dof, (positions, tuple(momenta)))
+        return State(space.dof, (positions, tuple(momenta)), space.components)
     message = f"expected state, position or a model; received {name!r}"
     raise ValueError(message)

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import yaml
 
-from ahnn.arguments import nearest
 from ahnn.checkpoints import read_weights, write_weights
 from ahnn.contents import read_plain
 from ahnn.errors import UserError
@@ -33,7 +32,7 @@ def shipped(name: str) -> Path:
         UserError: unknown model.
     """
     if name not in names():
-        message = f"pretrained: no model {name!r}{nearest(name, names())}"
+        message = f"pretrained: expected one of {', '.join(names())}; received {name!r}"
         raise UserError(message)
     return HERE / name
 

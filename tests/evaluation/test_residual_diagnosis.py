@@ -27,7 +27,7 @@ def test_noise_that_is_off_is_named(factor):
     said = remedy(Spring(SPRING), stated(measured(), factor), "none")
     head, _, tail = said.partition(" times too ")
     found = float(head.removeprefix("data.noise is about "))
-    assert tail == f"{'small' if factor < 1 else 'large'} for q1 (data.noise=estimate finds it)"
+    assert tail == f"{'small' if factor < 1 else 'large'} for q (data.noise=estimate finds it)"
     assert found == pytest.approx(max(factor, 1 / factor), rel=0.1)
 
 
@@ -39,7 +39,7 @@ def test_noise_within_a_factor_of_a_quarter_is_not_spoken_of(factor):
 def test_of_several_numbers_the_one_that_is_off_is_named():
     batch = measured(kind="state")
     assert remedy(Spring(SPRING), stated(batch, 1.0, 0.1), "none").endswith(
-        "times too small for p1 (data.noise=estimate finds it)"
+        "times too small for p (data.noise=estimate finds it)"
     )
 
 
@@ -81,6 +81,6 @@ def test_wrong_dynamics_are_no_noise():
     stiffer = dataclasses.replace(SPRING, stiffness=5.6)
     assert remedy(Spring(stiffer), measured(), "none").endswith(FOLLOWS)
     said = remedy(Spring(stiffer), stated(measured(), 3e2), "none")
-    assert said.startswith("data.noise is about 2.5e+02 times too large for q1; ")
+    assert said.startswith("data.noise is about 2.5e+02 times too large for q; ")
     assert said.endswith(FOLLOWS)
     assert float(trajectories(SPRING, 1, 5).states.abs().max()) > 0.1  # far above the noise

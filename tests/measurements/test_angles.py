@@ -205,6 +205,8 @@ def test_an_angle_beside_lengths_is_an_angle_where_it_is_read():
     space = CartPole(name="cart", dt=0.02, steps=1).space
     assert reading("position", space).units == ("m", "rad")
     assert reading("state", space).units == ("m", "rad", "kg m/s", "kg m²/s")
+    assert reading("position", space).names == space.components[:2]
+    assert reading("state", space).names == space.components
     turned = torch.tensor([1.0, 2.0 * math.pi + 0.1], dtype=torch.float64)
     assert residual(reading("position", space), turned, torch.zeros_like(turned)).tolist() == pytest.approx(
         [1, 0.1]

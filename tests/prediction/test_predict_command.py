@@ -18,6 +18,7 @@ from test_predict import small
 import ahnn
 from ahnn.data.files import Ephemeris, Files, instant, read_oem, write_oem
 from ahnn.prediction.prediction_table import as_parquet
+from ahnn.pretrained import names
 from ahnn.uncertainty import save_uncertainty
 
 MOLNIYA = "pretrained=molniya_mechanical"
@@ -223,6 +224,11 @@ MISTAKES = {
         "expected the date of time zero",
     ),
     "typo": ([MOLNIYA, START, "duraton=1h"], "did you mean 'duration'?"),
+    "no model": (
+        ["pretrained=molnia", START, "duration=1h"],
+        f"pretrained: expected one of {', '.join(names())}; received 'molnia'",
+    ),
+    "no such key": ([MOLNIYA, START, "duration=1h", "plot=true"], "key 'plot'; --help lists the keys"),
     "deviations": ([MOLNIYA, START, "duration=1h", "start_sd=[1,1,1]"], "start_sd: expected 6 numbers > 0"),
     "no deviation": ([MOLNIYA, START, "duration=1h", "start_sd=[1,0]"], "start_sd: expected"),
     "columns": ([MOLNIYA, "start=other.csv", "duration=1"], "expected positions x, y, z"),

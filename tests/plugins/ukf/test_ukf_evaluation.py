@@ -205,7 +205,7 @@ def test_the_consistency_is_judged_by_the_band_of_what_is_averaged(found: Findin
         ("process_noise=guessed", "process_noise: expected .*fitted, force_error"),
         ("process_noise={size:-1.0}", "process_noise.size: expected float > 0"),
         ("process_noise={tau:1.0}", "process_noise: unknown key 'tau'"),
-        ("measurement_sd=[1.0,2.0]", "measurement_sd: expected a standard deviation > 0 for each of q1"),
+        ("measurement_sd=[1.0,2.0]", "measurement_sd: expected a standard deviation > 0 for each of q .m."),
         (
             "measurement={latitude:3}",
             "measurement: expected position, state or a node with _target_; received keys",
