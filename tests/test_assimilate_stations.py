@@ -7,6 +7,7 @@ import json
 import math
 
 import numpy as np
+import pytest
 from entry import call
 
 import ahnn
@@ -55,3 +56,26 @@ def test_stations_of_a_file_are_followed_as_those_of_the_command_line(tmp_path, 
     ):
         assert call("ahnn.assimilate", *words, "stations=nowhere.yaml", *more) == 2
         assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("objects", [False, True])
+def test_a_station_at_a_wrong_place_is_named(tmp_path, caplog, objects):
+    orbit = ahnn.load("molniya_mechanical").rollout(START, 24, 15.0)[0]
+    noise = f"noise: {{range: {SD[0]}, azimuth: 0.01, elevation: 0.01}}"
+    head = "time,sensor,range,azimuth,elevation"
+    lines, text = [head + ",object" * objects], []
+    for k in range(1, 25):
+        name = [*SITES][k % 2]
+        seen = GroundStation(*SITES[name])(orbit[k], 15.0 * k).tolist()
+        lines.append(",".join(map(str, [15.0 * k, name, *seen])) + ",a" * objects)
+    for name, longitude in (("kiruna", -20.96), ("troll", 2.5)):  # of kiruna with the wrong sign
+        text.append(f"{name}: {{latitude: {SITES[name][0]}, longitude: {longitude}, {noise}}}")
+    (tmp_path / "seen.csv").write_text("\n".join(lines) + "\n")
+    (tmp_path / "stations.yaml").write_text("\n".join(text))
+    words = ["pretrained=molniya_mechanical", f"measurements={tmp_path / 'seen.csv'}", f"start={START}"]
+    words += ["start_sd=[0.1,1e-4]", "plugins.ukf.process_noise=[1e-3,1e-5]", "plugins.ukf.patience=100"]
+    words += [f"stations={tmp_path / 'stations.yaml'}", f"output={tmp_path / 'out.csv'}"]
+    assert call("ahnn.assimilate", *words, *["objects=object"] * objects) == 0
+    said = "12 of 12 lines of kiruna were rejected: check its coordinates, units and noise"
+    assert said in caplog.text
+    assert "of troll were" not in caplog.text

@@ -100,7 +100,7 @@ MISTAKES = {
     f"{GL4} integrator.max_iterations=2.7": "integrator gl4.max_iterations: expected int from 1 to 1000",
     # values that we judge
     "data.split=[0.9,0.3,0.1]": "ahnn: data.split: expected three positive fractions",
-    "data.trajectories=1": "ahnn: data.split: expected at least one trajectory in each part",
+    "data.trajectories=1": "ahnn: data.split: expected at least one trajectory in each of train, val, test",
     "system=three_body system.masses=[1.0,2.0]": "ahnn: system.masses: expected one number for each of 3",
     **{f"trainer.max_epochs={n}": "trainer.max_epochs: expected" for n in ("two", "2.5", "null", "-1", "0")},
     "seed=4294967296": "seed: expected int from 0 to 4294967295; received 4294967296",

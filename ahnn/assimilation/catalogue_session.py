@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
@@ -19,6 +20,7 @@ from ahnn.assimilation.parquet_stream import ParquetParts, ParquetRows
 from ahnn.assimilation.reading_table import FATES, CatalogueEstimates
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.assimilation.stream_session import Notes, StreamSession
+from ahnn.assimilation.stream_tally import GATED
 from ahnn.assimilation.table_parser import ParsedLines, TableParser
 from ahnn.errors import UserError
 
@@ -129,11 +131,19 @@ class CatalogueSession(StreamSession):
         counts = np.bincount(found.fates, minlength=len(FATES)).tolist()
         self.counts.update({fate: count for fate, count in zip(FATES, counts, strict=True) if count})
         self.counts.update({"bad": len(parsed.bad)} if parsed.bad else {})
+        self._count_sensors(parsed, found)
         taken = (found.fates == FATES.index("taken")) & (found.measured.numpy() > 0)
         self.nis += float(found.nis.numpy()[taken].sum())
         self.numbers += int(found.measured.numpy()[taken].sum())
         _say("bad", {line: f"{bad[line]}; skipped" for line in sorted(bad)})
         self._say_others(parsed, found)
+
+    def _count_sensors(self, parsed: ParsedLines, found: CatalogueEstimates) -> None:
+        """Count the readings of each sensor on which the gate decided."""
+        for k, name in enumerate(self.filter.sensors):
+            fates = Counter(FATES[fate] for fate in found.fates[parsed.table.sensors == k].tolist())
+            self.gated.update({name: gated} if (gated := sum(fates[fate] for fate in GATED)) else {})
+            self.refused.update({name: fates["rejected"]} if fates["rejected"] else {})
 
     def _say_others(self, parsed: ParsedLines, found: CatalogueEstimates) -> None:
         """Report readings with the outcomes in `WORDS`, and unknown objects."""

@@ -15,6 +15,7 @@ from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.online import Assimilation, Diverged
 from ahnn.assimilation.stream_estimate import Estimate
 from ahnn.assimilation.stream_session import StreamSession
+from ahnn.assimilation.stream_tally import GATED
 from ahnn.assimilation.table_parser import TableParser
 from ahnn.errors import TrainingError
 
@@ -151,6 +152,9 @@ class Session(StreamSession):
     def _tell(self, number: int, reading: Reading, estimate: Estimate) -> None:
         """Count an estimate, and report it unless the reading was simply accepted."""
         self.counts[estimate.outcome] += 1
+        if estimate.outcome in GATED:
+            self.gated[reading.sensor] += 1
+            self.refused[reading.sensor] += estimate.outcome == "rejected"
         if estimate.outcome == "taken" and estimate.innovation is not None:
             self.nis += float(estimate.innovation.nis)
             self.numbers += int(estimate.innovation.measured)

@@ -14,6 +14,8 @@ LEAST = 10
 """Number of lines below which the fraction of accepted lines is not judged."""
 MANY = 0.05
 """Fraction of rejected measurements that outliers rarely reach."""
+GATED = ("taken", "reopened", "rejected")
+"""Outcomes of measurements on which the gate decided."""
 REMEDIES = {
     "none": "Add lines",
     "bad": "The lines above state the faults",
@@ -37,6 +39,7 @@ class StreamTally:
         counts: number of lines by outcome.
         nis, numbers: sum of the NIS of accepted lines, and their number of values.
         disordered: number of late lines after the start, counted in this command only.
+        gated, refused: number of lines by sensor on which the gate decided, and which it rejected, likewise.
         asks: whether the stream may consist of requests for predictions alone.
     """
 
@@ -44,6 +47,8 @@ class StreamTally:
         self.counts: Counter[str] = Counter()
         self.nis, self.numbers = 0.0, 0
         self.disordered, self.asks = 0, False
+        self.gated: Counter[str] = Counter()
+        self.refused: Counter[str] = Counter()
 
     @classmethod
     def joined(cls, parts: Iterable[StreamTally]) -> StreamTally:
@@ -51,6 +56,8 @@ class StreamTally:
         total = StreamTally()
         for part in parts:
             total.counts.update(part.counts)
+            total.gated.update(part.gated)
+            total.refused.update(part.refused)
             total.nis, total.numbers = total.nis + part.nis, total.numbers + part.numbers
             total.disordered, total.asks = total.disordered + part.disordered, total.asks or part.asks
         return total
@@ -74,6 +81,15 @@ class StreamTally:
         count = "once" if opened == 1 else f"{opened:,} times"
         times = f", and reopened {count} after too many consecutive rejections" if opened else ""
         return f"; the gate rejected {100 * fraction:.2g} % of the measurements{times}"
+
+    def of_sensors(self) -> list[str]:
+        """Return a remark on each of several sensors of which most lines were rejected."""
+        return [
+            f"{refused:,} of {self.gated[name]:,} lines of {name} were rejected: check its coordinates, "
+            "units and noise"
+            for name, refused in self.refused.items()
+            if len(self.gated) > 1 and self.gated[name] >= LEAST and 2 * refused > self.gated[name]
+        ]
 
     def require_taken(self) -> None:
         """Check that some line was accepted, unless the stream only requests predictions.

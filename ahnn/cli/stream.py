@@ -48,6 +48,8 @@ log = logging.getLogger("ahnn")
 
 BIAS = re.compile(r"^(?=sensors\.[^.=]+\.bias_(sd|memory)=)")
 """Keys of a sensor that options of the group measurement do not set."""
+AXES = "ahnn.tracking.earth_axes.earth_axes"
+"""Factory of the axes of ground stations in configurations."""
 FILTER, OF_MEASUREMENTS = "plugins=ukf", "plugins=ukf_parameter_error"
 """Default filters of a run without a plugin; the second if it saved its least observable parameters."""
 
@@ -278,7 +280,7 @@ def turn_stations(nodes: Any, reference: Reference) -> None:
             if not str(found.get("_target_", "")).endswith((".GroundStation", ".StationsOfFile")):
                 continue
             if found.get("earth_angle") is None:
-                found["earth_angle"] = earth_axes(reference)
+                found["earth_angle"] = {"_target_": AXES, "reference": str(reference)}
             elif known(reference.frame) not in ("", "CIRS") and not isinstance(found.earth_angle, ListConfig):
                 said = (
                     "%s.earth_angle turns the Earth about the z axis of %s, without precession and nutation"

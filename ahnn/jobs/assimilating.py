@@ -66,6 +66,8 @@ def assimilate(stream: Stream) -> None:
     log.info("%s lines: %s", f"{session.counted:,}", said(session.counts))
     if verdict := session.verdict():
         log.info(verdict)
+    for remark in session.of_sensors():
+        log.warning(remark)
     if remark := _of_novelty(stream, filtering):
         log.warning(remark)
     for name, sensor in filtering.sensors.items():

@@ -109,6 +109,8 @@ def conclude(stream: Stream, found: CatalogueOutcome) -> None:
     log.info("%s objects, %d of them lost", f"{len(last.names):,}", found.lost)
     if verdict := tally.verdict():
         log.info(verdict)
+    for remark in tally.of_sensors():
+        log.warning(remark)
     if stream.asked.states:
         assert last.covariances is not None
         states = Prediction(last.times.new_zeros(1), last.states[:, None], last.covariances[:, None])

@@ -9,6 +9,7 @@ from __future__ import annotations
 from ahnn.measurements.angles import continuous, nearest, periods, residual, wrap
 from ahnn.measurements.base import Locating, Measurement, Sighted, Sloped, Time, observe
 from ahnn.measurements.biases import Biases
+from ahnn.measurements.daily_axes import DailyAxes
 from ahnn.measurements.gnss import GnssRange
 from ahnn.measurements.ground_station import GroundStation
 from ahnn.measurements.noise import noise_deviations
@@ -22,6 +23,7 @@ from ahnn.measurements.station_file import StationsOfFile
 
 __all__ = [
     "Biases",
+    "DailyAxes",
     "GnssRange",
     "GroundStation",
     "Instrument",

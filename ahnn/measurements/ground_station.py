@@ -14,6 +14,7 @@ from torch import Tensor
 from ahnn.arguments import Finite, Positive, Within, checked
 from ahnn.measurements.angles import Differing, wrap
 from ahnn.measurements.base import Time, check_state
+from ahnn.measurements.daily_axes import DailyAxes
 
 EARTH_RATE = 7.2921150e-5
 """Rotation rate of the Earth in rad/s (IERS Conventions 2010, table 1.2, nominal value)."""
@@ -51,7 +52,7 @@ class GroundStation(Differing):
         range_rate: whether to measure the range-rate.
         earth_angle: angle of the Greenwich meridian from the inertial x axis at t = 0, rad; None for 0. Or
             the (3, 3) matrix from the inertial axes to the Earth's axes at t = 0; the Earth rotates about its
-            z axis.
+            z axis. `DailyAxes` add precession and nutation (`ahnn.tracking.earth_axes`).
         rotation_rate: rotation rate of the Earth, rad/s.
         radius: equatorial radius, km.
         flattening: flattening of the ellipsoid; 0 for a sphere.
@@ -72,7 +73,7 @@ class GroundStation(Differing):
         height: Finite = 0.0,
         *,
         range_rate: bool = False,
-        earth_angle: Finite | list[list[float]] | None = None,
+        earth_angle: Finite | list[list[float]] | DailyAxes | None = None,
         rotation_rate: Finite = EARTH_RATE,
         radius: Positive = EARTH_RADIUS,
         flattening: Annotated[float, Within(0, below=1)] = EARTH_FLATTENING,
@@ -87,8 +88,10 @@ class GroundStation(Differing):
         self.units = ("km", "rad", "rad", *(("km/s",) if range_rate else ()))
         self.latitude = math.radians(latitude)
         self.longitude = math.radians(longitude)
-        self.axes = torch.tensor(earth_angle, dtype=torch.float64) if isinstance(earth_angle, list) else None
-        self.earth_angle = 0.0 if earth_angle is None or isinstance(earth_angle, list) else earth_angle
+        if isinstance(earth_angle, list):
+            earth_angle = DailyAxes(torch.tensor([earth_angle], dtype=torch.float64))
+        self.axes = earth_angle if isinstance(earth_angle, DailyAxes) else None
+        self.earth_angle = 0.0 if earth_angle is None or isinstance(earth_angle, DailyAxes) else earth_angle
         self.rotation_rate = rotation_rate
         sine = math.sin(self.latitude)
         squared_eccentricity = flattening * (2.0 - flattening)
@@ -148,5 +151,6 @@ class GroundStation(Differing):
         axes, drift = torch.stack((east, north, up), -1), self.rotation_rate * self.equatorial * east
         if self.axes is None:
             return site, axes, drift
-        earth = self.axes.to(like)
-        return site @ earth, earth.mT @ axes, drift @ earth
+        earth = self.axes.at(t, like)
+        site, drift = (torch.stack((site, drift), -2) @ earth).unbind(-2)
+        return site, earth.mT @ axes, drift

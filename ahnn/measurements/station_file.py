@@ -30,6 +30,7 @@ from ahnn.contents import read_plain
 from ahnn.errors import UserError
 from ahnn.measurements.angles import Differing
 from ahnn.measurements.base import Time
+from ahnn.measurements.daily_axes import DailyAxes
 from ahnn.measurements.ground_station import Degrees, Event, GroundStation
 from ahnn.measurements.several import Several
 
@@ -111,7 +112,7 @@ class BiasedStation(Differing):
     def __init__(
         self,
         entry: StationEntry,
-        earth_angle: float | list[list[float]] | None = None,
+        earth_angle: float | list[list[float]] | DailyAxes | None = None,
         mass: float = 1.0,
         who: str = "",
     ) -> None:
@@ -174,7 +175,7 @@ class StationsOfFile(Several):
     def __init__(
         self,
         file: str,
-        earth_angle: float | list[list[float]] | None = None,
+        earth_angle: float | list[list[float]] | DailyAxes | None = None,
         mass: float = 1.0,
         only: Sequence[str] | None = None,
     ) -> None:
