@@ -188,8 +188,8 @@ def test_a_simulated_bias_is_the_same_in_all_parts():
 
 def test_messages_name_the_columns_of_the_file():
     space = SPRING.space._replace(components=("height", "pheight"))
-    assert Recorded(space, measured="position", noise=0.1).names == ("height",)
-    assert Recorded(space, measured="state", noise=0.1).names == ("height", "pheight")
+    for measured, names in (("position", ("height",)), ("state", ("height", "pheight"))):
+        assert Recorded(space, measured=measured, noise=0.1).measurement.names == names
 
 
 @pytest.mark.parametrize("robust", ["none", "student"])
