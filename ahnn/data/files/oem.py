@@ -128,7 +128,7 @@ def written(
         ephemerides: one ephemeris per segment.
         originator: originator of the message.
         created: epoch of the message in UTC; None for now.
-        comments: comment lines of the header.
+        comments: comments of the header, each of one line.
     """
     about = (f"COMMENT {line}" for line in comments)
     head = [f"CREATION_DATE = {created or epochs.now()}", f"ORIGINATOR = {originator}"]

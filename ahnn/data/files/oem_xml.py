@@ -144,14 +144,7 @@ def written(
     created: str | None = None,
     comments: Iterable[str] = (),
 ) -> str:
-    """Format a message of version 2.0, with 16 digits per number, i.e. full precision.
-
-    Args:
-        ephemerides: one ephemeris per segment.
-        originator: originator of the message.
-        created: epoch of the message in UTC; None for now.
-        comments: comments of the header.
-    """
+    """Format a message of version 2.0 in XML; arguments as in `oem.written`."""
     message = Element("oem", id="CCSDS_OEM_VERS", version="2.0")
     about = {"CREATION_DATE": created or epochs.now(), "ORIGINATOR": originator}
     _group(message, "header", about, comments)
