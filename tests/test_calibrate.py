@@ -66,6 +66,23 @@ def test_bands_that_are_too_narrow_are_refused_and_right_ones_are_not(width, ver
     assert "ranks: too few draws to tell" in rank_table(scores(3))
 
 
+def test_coverage_where_errors_propagate_linearly_is_told_apart_if_some_do_not():
+    made, rows = scores(4), [[0.6, 0.9, 1.0], [0.3, 0.6, 0.7], None]
+    for one in made:
+        linear = {"states": [0.7, 0.95, 1.0], "parts": [rows[0]] * 3}
+        one["forecast"] |= {"nonlinear": 0.0, "linear": linear}
+    assert "propagate linearly" not in rank_table(made)
+    made[0]["forecast"] |= {"nonlinear": 0.5}
+    made[1]["forecast"] |= {"nonlinear": 1.0, "linear": {"states": None, "parts": [None] * 3}}
+    made[2]["forecast"]["linear"] = {"states": [0.4, 0.8, 0.7], "parts": rows}
+    text = rank_table(made)
+    assert "where errors propagate linearly (62 % of the forecast states):" in text
+    error = "%, standard error {} % within 2 sigma, {} draws"
+    assert f"forecasts                 60.0, 90.0, 90.0 {error.format('5.0', 3)}" in text
+    assert f"forecasts at two fifths   50.0, 80.0, 90.0 {error.format('10.0', 3)}" in text
+    assert f"forecasts at the end      60.0, 90.0, 100.0 {error.format('0.0', 2)}" in text
+
+
 def test_draws_whose_training_ended_early_are_also_left_out():
     made = scores(20)
     assert "without them" not in rank_table(made)

@@ -6,7 +6,6 @@ truth is known, true states are also compared with the bands.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any, NamedTuple, cast
 
 import torch
@@ -14,6 +13,7 @@ from torch import Tensor
 
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.evaluation.bands import NORMAL, SIGMAS, percent
+from ahnn.evaluation.forecast_variances import Variances, middle
 from ahnn.evaluation.goodness_of_fit import OUTLYING, fit_to, trial_of, without_outliers
 from ahnn.evaluation.independent_directions import TOO_FEW
 from ahnn.measurements import Segment
@@ -24,14 +24,24 @@ from ahnn.shooting.path_sensitivities import Steps, path, steps_between
 from ahnn.shooting.quadrature import coarse
 from ahnn.shooting.robust import RobustName, informative, loss_of
 from ahnn.types import Trajectories
-from ahnn.uncertainty import forecast_columns
+from ahnn.uncertainty import LINEAR, forecast_columns, nonlinearity
 
 HALF = 0.5
 """Fraction of the measurements of a trajectory to which the start of its forecast is fitted."""
-DRAWS, MIDDLE = 200, 0.95
-"""Number of draws for the coverage of calibrated bands, and the central fraction reported."""
 PARTS = (0.2, 0.4, 1.0)
 """Fractions of the forecast after which it is also tested separately."""
+
+
+class LinearCoverage(NamedTuple):
+    """Coverage of true states by forecast bands where errors propagate linearly.
+
+    Attributes:
+        states: fractions of the states within 1, 2 and 3 standard deviations; None if there are none.
+        parts: these fractions after each of `PARTS` of the forecast.
+    """
+
+    states: tuple[float, ...] | None
+    parts: tuple[tuple[float, ...] | None, ...]
 
 
 class Forecast(NamedTuple):
@@ -50,6 +60,8 @@ class Forecast(NamedTuple):
         single: errors of the true states of the first trajectory after `PARTS` of its forecast, in standard
             deviations; None if these are unknown.
         parts: coverage of the true states of all trajectories after each of these parts.
+        nonlinear: fraction of the forecast states whose index of nonlinearity exceeds `LINEAR`.
+        linear: coverages of the true states within the linear range; None if these are unknown.
     """
 
     coverage: tuple[float, ...]
@@ -62,6 +74,8 @@ class Forecast(NamedTuple):
     outliers: float = 0.0
     single: tuple[tuple[float, ...], ...] | None = None
     parts: tuple[tuple[float, ...], ...] | None = None
+    nonlinear: float = 0.0
+    linear: LinearCoverage | None = None
 
     def sentence(self) -> str:
         """Return the finding as a note under the table."""
@@ -75,6 +89,8 @@ class Forecast(NamedTuple):
                 f" and {percent(self.states)} % of the true states ({right_bands(self.states, self.right)})"
             )
         text += f"; the parameters contribute {in_percent(self.parameters)} of the variance of a state"
+        if self.nonlinear:
+            text += f"; the errors of {in_percent(self.nonlinear)} of the states do not propagate linearly"
         text += f"; {in_percent(self.outliers)} excluded as outliers" if self.outliers else ""
         return text + (f"; first halves not fitted: {self.lost}" if self.lost else "")
 
@@ -88,7 +104,8 @@ class Forecast(NamedTuple):
     def numbers(self) -> dict[str, Any]:
         """Return plain values for metrics.json."""
         told = "" if self.states is None else judged(self.states, self.right)
-        return {"sigmas": list(SIGMAS), "of_normal_errors": list(NORMAL), **self._asdict(), "verdict": told}
+        found = {"sigmas": list(SIGMAS), "of_normal_errors": list(NORMAL), **self._asdict(), "verdict": told}
+        return found if self.linear is None else {**found, "linear": self.linear._asdict()}
 
 
 @torch.no_grad()
@@ -131,6 +148,7 @@ def forecast(
     standard = variances.states.sqrt()
     off_true = None if true is None else (states[:, steps.ends] - true) / standard
     known = None if off_true is None else after_parts(off_true, early)
+    index = interval_nonlinearity(dynamics, states, steps, variances)
     ahead, total = later & ~part.values.isnan(), 1 + variances.values
     rows, width = part.residuals(states[:, steps.ends]), total[ahead]
     off = rows / total.sqrt() if freedom is None else normal_scores(rows, freedom, variances.values)
@@ -147,73 +165,36 @@ def forecast(
         outliers=1 - float(counted.double().mean()),
         single=None if known is None else tuple(tuple(row) for row in known[0].tolist()),
         parts=None if known is None else tuple(shares(row[row.isfinite()]) for row in known.unbind(1)),
+        nonlinear=float((index > LINEAR)[ahead.any(-1)].double().mean()),
+        linear=None if off_true is None else within_linear_range(off_true, index, there, early),
     )
 
 
-class Variances(NamedTuple):
-    """Variances of forecasts.
+def interval_nonlinearity(dynamics: Dynamics, states: Tensor, steps: Steps, variances: Variances) -> Tensor:
+    """Return the index of nonlinearity of forecasts at the times of measurements, (B, K + 1)."""
+    ends = steps.ends.tolist()
 
-    Attributes:
-        states: variances of states, (B, K + 1, D).
-        parameters: contribution of the parameters to these variances.
-        values: variances of measured values, (B, K + 1, M), in units of the noise variance and without noise;
-            0 where missing.
-        within: number of predicted states within 1, 2 and 3 standard deviations in each draw of noise and
-            parameters, (3, DRAWS).
+    def flow(k: int, x: Tensor) -> Tensor:
+        lengths = steps.lengths[:, ends[k] : ends[k + 1]].repeat(len(x), 1)
+        return path(dynamics.increment, x.flatten(0, 1), lengths)[:, -1].view_as(x)
+
+    return nonlinearity(flow, states[:, steps.ends], variances.moves, variances.states.sqrt())
+
+
+def within_linear_range(off: Tensor, index: Tensor, there: Tensor, early: Tensor) -> LinearCoverage:
+    """Return the coverage within the linear range.
+
+    Args:
+        off: errors of the true states in standard deviations, (B, K + 1, D).
+        index: indices of nonlinearity, (B, K + 1).
+        there: mask of forecast states, (B, K + 1, D).
+        early: mask of fitted times, (B, K + 1).
     """
-
-    states: Tensor
-    parameters: Tensor
-    values: Tensor
-    within: Tensor
-
-    @classmethod
-    def of(
-        cls, causes: Iterable[tuple[Tensor, Tensor]], of_state: Tensor, there: Tensor, columns: int
-    ) -> Variances:
-        """Compute variances from the columns of `forecast_columns`.
-
-        Args:
-            causes: pairs of noise and parameter columns, as returned by `forecast_columns`.
-            of_state: derivatives of measurements, (B, K + 1, M, D).
-            there: mask of states counted in `within`, (B, K + 1, D).
-            columns: number of parameter columns.
-        """
-        parts, within, first = [], torch.zeros(len(SIGMAS), DRAWS, dtype=torch.int64), 0
-        draws = imagined(columns + there[:, 0].numel())
-        together, apart = draws[:columns], draws[columns:].view(len(there), 1, -1, DRAWS)
-        for noise, moved in causes:
-            rows, first = slice(first, first + len(noise)), first + len(noise)
-            covariance = noise @ noise.mT + moved @ moved.mT
-            of_states = covariance.diagonal(dim1=-2, dim2=-1)
-            values = ((of_state[rows] @ covariance) * of_state[rows]).sum(-1)
-            parts.append((of_states, moved.square().sum(-1), values))
-            for k, own in enumerate(there[rows], start=rows.start):
-                j = k - rows.start
-                off = moved[j].float() @ together + noise[j].float() @ apart[k]
-                within += held(off[own], of_states[j][own].sqrt().float().unsqueeze(-1))
-        states, parameters, values = (torch.cat(part) for part in zip(*parts, strict=True))
-        return cls(states, parameters, values, within)
-
-
-def imagined(columns: int) -> Tensor:
-    """Return `DRAWS` draws of independent causes, in their standard deviations, (columns, DRAWS)."""
-    return torch.randn(columns, DRAWS, generator=torch.Generator().manual_seed(0))
-
-
-def held(off: Tensor, sd: Tensor) -> Tensor:
-    """Return how many of the errors (n, DRAWS) lie within each band in each draw, shape (3, DRAWS).
-
-    Bands are multiples of the standard deviations (n, 1). Errors of one training run are correlated: if
-    nearly all lie along one direction, a calibrated band contains either nearly all or few of them.
-    """
-    return torch.stack([(off.abs() <= k * sd).sum(0) for k in SIGMAS])
-
-
-def middle(shares: Tensor) -> tuple[tuple[float, float], ...]:
-    """Return the ends of the middle 95 % of fractions (3, DRAWS)."""
-    ends = torch.tensor([(1 - MIDDLE) / 2, (1 + MIDDLE) / 2], dtype=torch.float64)
-    return tuple((float(low), float(high)) for low, high in torch.quantile(shares.double(), ends, dim=1).mT)
+    counted = there & (index <= LINEAR).unsqueeze(-1)
+    rows = after_parts(off.masked_fill(~counted, torch.nan), early).unbind(1)
+    found = [row[row.isfinite()] for row in (off[counted], *rows)]
+    every, *parts = [shares(row) if len(row) else None for row in found]
+    return LinearCoverage(every, tuple(parts))
 
 
 def right_bands(shares: tuple[float, ...], right: tuple[tuple[float, float], ...]) -> str:

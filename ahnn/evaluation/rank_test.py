@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from ahnn.evaluation import style
 from ahnn.evaluation.independent_directions import DirectionTest, together
+from ahnn.numbers import in_percent
 from ahnn.uncertainty.posterior import is_unfinished
 
 TIMES = ("a quarter", "half", "the end")
@@ -73,6 +74,7 @@ def band_lines(scores: Sequence[Score]) -> list[str]:
     draws = f"{len(scores)} draws"
     lines = [f"within 1, 2 and 3 sigma, all trajectories, mean over {draws}:"]
     lines += [f"  {name:<26}{share_line(rows)}" for name, rows in coverages(scores).items()]
+    lines += linear_lines(scores)
     tests = [one["uncertainty"]["test"] for one in scores]
     every_draw = together([DirectionTest(test["directions"], test["scatter"]) for test in tests])
     return [*lines, f"bands of states, {draws}: {every_draw.sentence()}"]
@@ -87,6 +89,22 @@ def coverages(scores: Sequence[Score]) -> dict[str, list[Sequence[float]]]:
     for k, when in enumerate(PARTS):
         found[f"forecasts at {when}"] = [one["forecast"]["parts"][k] for one in scores]
     return found
+
+
+def linear_lines(scores: Sequence[Score]) -> list[str]:
+    """Return lines on the coverage within the linear range; none if all forecasts are within it."""
+    if not any(one["forecast"].get("nonlinear") for one in scores):
+        return []
+    share = 1 - sum(one["forecast"].get("nonlinear", 0.0) for one in scores) / len(scores)
+    linear = [one["forecast"]["linear"] for one in scores if one["forecast"].get("linear")]
+    rows = {"forecasts": [one["states"] for one in linear]}
+    rows |= {f"forecasts at {when}": [one["parts"][k] for one in linear] for k, when in enumerate(PARTS)}
+    lines = [f"where errors propagate linearly ({in_percent(share)} of the forecast states):"]
+    for name, shares in rows.items():
+        found = [share for share in shares if share is not None]
+        line = f"{share_line(found)}, {len(found)} draws" if found else "none"
+        lines.append(f"  {name:<26}{line}")
+    return lines
 
 
 def share_line(rows: Sequence[Sequence[float]]) -> str:

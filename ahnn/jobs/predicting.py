@@ -18,7 +18,7 @@ from ahnn.jobs.predicting_blocks import blocks_of, predict_block
 from ahnn.prediction import durations, output
 from ahnn.prediction.many_trajectories import finite_prediction, joined
 from ahnn.prediction.propagation import Prediction, require_room
-from ahnn.prediction.summary import summary, warning
+from ahnn.prediction.summary import nonlinear_warning, summary, warning
 from ahnn.prediction.turned_prediction import turned_prediction
 from ahnn.progress import track
 from ahnn.runs import Run
@@ -83,7 +83,11 @@ def predict(asked: PredictionRequest) -> None:
     found, begin = finite_prediction(joined(parts).at(moments.chosen, times), begin, clock)
     found, begin = turned_prediction(found, begin, asked.output_frame, space)
     title, from_numbers = " + ".join(run.folder.name for run in runs), not isinstance(asked.start, str)
-    remarks = [_of_the_start_only(begin, runs), warning(found, begin, space, from_numbers=from_numbers)]
+    remarks = [
+        _of_the_start_only(begin, runs),
+        warning(found, begin, space, from_numbers=from_numbers),
+        nonlinear_warning(found, begin, space),
+    ]
     remarks = [*filter(None, remarks)]
     if asked.output is not None:
         output.write(Path(asked.output), found, begin, space, [*remarks, *_unfinished(runs)])

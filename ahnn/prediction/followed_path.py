@@ -87,7 +87,7 @@ class FollowedPath:
 
     def follow(self, lengths: Tensor, clock: Clock | None = None) -> PathRows:
         """Take steps of lengths (N,), starting at a clock reading, and return the rows after each step."""
-        states = torch.stack([self.x, *self._steps(lengths, clock)], dim=1)
+        states = torch.stack([self.x, *self._steps(self.x, lengths, clock)], dim=1)
         novelty = self._novelty(states)
         self.x = states[:, -1]
         later = None if novelty is None else novelty[:, 1:]
@@ -128,8 +128,13 @@ class FollowedPath:
             return wide
         return wide @ wide.mT if self.known.columns else None
 
-    def _steps(self, lengths: Tensor, clock: Clock | None) -> Iterator[Tensor]:
-        x = self.x
+    def end(self, x: Tensor, lengths: Tensor, clock: Clock | None = None) -> Tensor:
+        """Return the states (S, B, D) after steps of lengths (N,) from states x (S, B, D)."""
+        together = x.flatten(0, 1).unsqueeze(0) if clock is None else x  # a clock may differ between paths
+        ends = [list(self._steps(states, lengths, clock))[-1] for states in together]
+        return torch.stack(ends).view_as(x)
+
+    def _steps(self, x: Tensor, lengths: Tensor, clock: Clock | None) -> Iterator[Tensor]:
         for k, dt in enumerate(lengths.tolist()):
             x = stepped(self.dynamics, x, dt, None if clock is None else clock.at(k))
             yield x

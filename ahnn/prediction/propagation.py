@@ -24,10 +24,17 @@ from ahnn.progress import track
 from ahnn.shooting.path_sensitivities import Steps, path, steps_between
 from ahnn.shooting.quadrature import coarse
 from ahnn.types import in_short
-from ahnn.uncertainty import mixture_moments
+from ahnn.uncertainty import LINEAR, largest_displacement, mixture_moments, nonlinearity
+from ahnn.uncertainty.linear_range import IntervalFlow
 
 CELLS = 4e6
 """Size limit of the largest sensitivity tensor; longer paths are propagated in segments."""
+
+INTERVALS = 32
+"""Minimum number of segments of a path with covariances: the index of nonlinearity is known at their ends."""
+
+CURVED = 10.0
+"""Safety factor of the criterion by which no index of nonlinearity is calculated."""
 
 TOGETHER = 2_000
 """Number of states per segment, after which the progress bar is updated."""
@@ -41,12 +48,15 @@ class Prediction(NamedTuple):
         states: (B, T, D) predicted states.
         covariances: (B, T, D, D) covariances, or None if unknown.
         novelty: (B, T) distance from the training data, scaled to 1 at its edge; None if unknown.
+        nonlinearity: (B, T) index of nonlinearity of the errors (`ahnn.uncertainty.nonlinearity`), up to
+            `ahnn.uncertainty.LINEAR` where covariances are valid; 0 where they are small, None if unknown.
     """
 
     times: Tensor
     states: Tensor
     covariances: Tensor | None = None
     novelty: Tensor | None = None
+    nonlinearity: Tensor | None = None
 
     def __repr__(self) -> str:
         return in_short(self)
@@ -88,9 +98,8 @@ def predicted(
     require_times(times)
     require_finite(start)
     require_room(len(start), start.shape[1], times, longest)
-    return Prediction(
-        times, *_followed(FollowedPath(dynamics, known), start, times, longest, description, clock)
-    )
+    rows, index = _followed(FollowedPath(dynamics, known), start, times, longest, description, clock)
+    return Prediction(times, *rows, index)
 
 
 @torch.no_grad()
@@ -115,9 +124,9 @@ def prediction_factors(
     require_finite(start)
     require_memory("times", "sensitivities of states", 8.0 * len(times) * len(start) * known.columns)
     path = FollowedPath(dynamics, known, factors=True)
-    states, factors, _ = _followed(path, start.unsqueeze(0), times, longest)
-    assert factors is not None
-    return states[0], factors[0]
+    rows, _ = _followed(path, start.unsqueeze(0), times, longest)
+    assert rows.covariances is not None
+    return rows.states[0], rows.covariances[0]
 
 
 def _followed(
@@ -127,22 +136,54 @@ def _followed(
     longest: float,
     description: str | None = None,
     clock: Clock | None = None,
-) -> PathRows:
-    """Return the rows of a path at given times, computed in segments."""
+) -> tuple[PathRows, Tensor | None]:
+    """Return the rows of a path at given times, computed in segments, and its index of nonlinearity."""
     steps = steps_between(times.unsqueeze(0), longest)
     paths.quartered = paths.known.spread is not None and needs_quarters(paths.dynamics, start, steps)
     wanted = torch.zeros(int(steps.ends[-1]) + 1, dtype=torch.bool)
     wanted[steps.ends] = True
     cells = start.numel() * max(paths.known.columns, 1) * (4 if paths.quartered else 1)
-    stretch = max(1, min(int(CELLS // cells), TOGETHER // len(start)))
     lengths = steps.lengths[0]
+    fewest = -(-len(lengths) // INTERVALS) if paths.known.columns else len(lengths)
+    stretch = max(1, min(int(CELLS // cells), TOGETHER // len(start), fewest))
     along = None if clock is None else clock.along(lengths, steps.ends)
     parts = list(torch.arange(len(lengths)).split(stretch))
-    rows = [paths.begin(start)]
+    rows, nodes = [paths.begin(start)], [(paths.x, paths.moved)]
     for part in track(parts, description, len(parts)) if description else parts:
         own = None if along is None else along.steps(part)
         rows.append(paths.follow(lengths[part], own).at(wanted[1:][part]))
-    return PathRows.joined(rows)
+        nodes.append((paths.x, paths.moved))
+    if paths.factors or not paths.known.columns:
+        return PathRows.joined(rows), None
+
+    def flow(k: int, x: Tensor) -> Tensor:
+        return paths.end(x, lengths[parts[k]], None if along is None else along.steps(parts[k]))
+
+    index = node_nonlinearity(flow, *(torch.stack(column, dim=1) for column in zip(*nodes, strict=True)))
+    return PathRows.joined(rows), index[:, -(-steps.ends // stretch)]
+
+
+def node_nonlinearity(flow: IntervalFlow, states: Tensor, columns: Tensor) -> Tensor:
+    """Return the index of nonlinearity (B, K) of states (B, K, D) with covariance factors (B, K, D, R).
+
+    It is 0 without a calculation if all deviations are so small that they cannot leave the linear range.
+    """
+    columns = columns.double()
+    deviations = columns.square().sum(-1).sqrt()
+    if is_surely_linear(states, deviations):
+        return torch.zeros_like(states[..., 0])
+    moves = torch.einsum("bkdr,br->bkd", columns, largest_displacement(columns[:, -1]))
+    return nonlinearity(flow, states, moves, deviations)
+
+
+def is_surely_linear(states: Tensor, deviations: Tensor) -> bool:
+    """Return whether curved displacements remain within the bands, judged by the size of the motion.
+
+    A displacement s along a curve of radius R deviates from its tangent by s^2 / 2R, which is compared with
+    the smallest standard deviation, all relative to the rms of each component.
+    """
+    relative = deviations[:, 1:] / states.square().mean(1, keepdim=True).sqrt()
+    return bool((CURVED * relative.amax(-1).square() < LINEAR * relative.amin(-1)).all())
 
 
 def needs_quarters(dynamics: Dynamics, start: Tensor, steps: Steps) -> bool:
@@ -155,7 +196,7 @@ def together(predictions: Sequence[Prediction]) -> Prediction:
     """Combine predictions of several runs: their mean, with a covariance that includes their spread.
 
     By the law of total covariance, it is the mean of the individual covariances, if all are known, plus the
-    sample covariance of the states. The novelty is the maximum.
+    sample covariance of the states. Novelty and index of nonlinearity are the maxima.
     """
     first, *others = predictions
     if not others:
@@ -165,7 +206,9 @@ def together(predictions: Sequence[Prediction]) -> Prediction:
     mean, covariances = mixture_moments(torch.stack([one.states for one in predictions]), known)
     far = [one.novelty for one in predictions if one.novelty is not None]
     novelty = torch.stack(far).amax(0) if len(far) == len(predictions) else None
-    return Prediction(first.times, mean, covariances, novelty)
+    bent = [one.nonlinearity for one in predictions if one.nonlinearity is not None]
+    index = torch.stack(bent).amax(0) if len(bent) == len(predictions) else None
+    return Prediction(first.times, mean, covariances, novelty, index)
 
 
 def require_times(times: Tensor) -> None:

@@ -8,7 +8,7 @@ from ahnn.numbers import in_percent
 from ahnn.prediction.prediction_table import labels
 from ahnn.prediction.propagation import Prediction
 from ahnn.types import Space
-from ahnn.uncertainty import BEYOND
+from ahnn.uncertainty import BEYOND, LINEAR
 
 
 def summary(prediction: Prediction, starts: Starts, space: Space, title: str) -> str:
@@ -62,4 +62,25 @@ def warning(
         f"novelty: {in_percent(fraction)} of the predicted states lie beyond the training data, up to "
         f"{float(prediction.novelty.max()):.3g} times as far as its edge, first{whose} at t = {first:g} "
         f"{space.units.time}. Errors there may be far larger than the bands{units}"
+    )
+
+
+def nonlinear_warning(prediction: Prediction, starts: Starts, space: Space) -> str | None:
+    """Return one line about states whose errors do not propagate linearly; None without them.
+
+    Args:
+        prediction: predicted states.
+        starts: starts of the prediction.
+        space: description of the state components.
+    """
+    index = prediction.nonlinearity
+    if index is None or not bool((index > LINEAR).any()):
+        return None
+    row, sample = (int(k) for k in (index > LINEAR).nonzero()[0])
+    first = float(starts.times[row] + prediction.times[sample])
+    whose = f" of {starts.names[row]}" if len(index) > 1 else ""
+    return (
+        f"bands{whose}: from about t = {first:g} {space.units.time} on, errors are too large to propagate "
+        f"linearly (index {float(index.max()):.2g}, linear up to {LINEAR:g}); the true state may lie outside "
+        "the bands more often than they indicate"
     )

@@ -7,11 +7,13 @@ from ahnn.uncertainty.constants import Constant, learned_constants
 from ahnn.uncertainty.domain import BEYOND, Domain, domain_of, find_domain, growth
 from ahnn.uncertainty.force import force_deviation
 from ahnn.uncertainty.forecast import forecast_columns
+from ahnn.uncertainty.linear_range import LINEAR, largest_displacement, nonlinearity
 from ahnn.uncertainty.mixtures import mixture_crps, mixture_moments
 from ahnn.uncertainty.posterior import Uncertainty, load_uncertainty, save_uncertainty
 
 __all__ = [
     "BEYOND",
+    "LINEAR",
     "Constant",
     "Domain",
     "Uncertainty",
@@ -20,10 +22,12 @@ __all__ = [
     "force_deviation",
     "forecast_columns",
     "growth",
+    "largest_displacement",
     "learned_constants",
     "load_uncertainty",
     "mixture_crps",
     "mixture_moments",
+    "nonlinearity",
     "rollout_covariances",
     "rollout_sensitivities",
     "sampled_rollouts",

@@ -40,6 +40,17 @@ def column(found, name):
     return torch.tensor([float(row[name]) for row in found], dtype=torch.float64)
 
 
+def test_bands_too_wide_for_first_order_are_said_to_be(here, caplog):
+    """A start known to 1 km and 1 m/s: two revolutions later it may be anywhere in thousands of km."""
+    for sd, said in ((0.01, False), (1.0, True)):
+        options = [f"start_sd=[{sd},{sd / 1000}]", "duration=24h", "step=1h", "output=wide.csv"]
+        assert call("ahnn.predict", MOLNIYA, START, *options) == 0
+        assert ("errors are too large to propagate linearly" in caplog.text) is said
+        caplog.clear()
+        assert ("propagate linearly" in (here / "wide.yaml").read_text()) is said
+        (here / "wide.csv").unlink()
+
+
 def test_a_table_holds_the_prediction_and_can_be_read_again(here, capsys):
     assert call("ahnn.predict", MOLNIYA, START, "duration=1h", "step=10min", "output=orbit.csv") == 0
     run, found = ahnn.load("molniya_mechanical"), rows(here / "orbit.csv")

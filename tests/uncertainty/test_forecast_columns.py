@@ -10,7 +10,7 @@ from helpers import close
 from ahnn.data.segments import whole
 from ahnn.data.sensor import Sensor
 from ahnn.evaluation.bands import NORMAL
-from ahnn.evaluation.forecast import Variances
+from ahnn.evaluation.forecast_variances import Variances
 from ahnn.evaluation.goodness_of_fit import trial_of
 from ahnn.rollouts import rollout
 from ahnn.shooting.initial_states import linearised
