@@ -105,11 +105,11 @@ def plan(asked: PlanRequest) -> None:
     session = math.inf if asked.session is None else durations.duration(asked.session, "session", clock)
     times = durations.grid(lasting, every)
     whole = torch.cat((times, torch.tensor([at]).to(times))).unique()
+    instruments = stations_of(asked.stations, begin, run) if asked.stations else fixes(asked.position_sd, run)
     states, factors = prediction_factors(
         run.dynamics.frozen(), begin.states[0], whole, run.dt, run.knowledge(begin.covariances[0])
     )
     seen = states[: len(times)], factors[: len(times)], times + begin.times[0]
-    instruments = stations_of(asked.stations, begin, run) if asked.stations else fixes(asked.position_sd, run)
     found = candidates(instruments, *seen, max(1, int(min(session / every, len(times)))))
     if not found:
         message = "plan: expected a station that sees the object; received none. Extend duration"
