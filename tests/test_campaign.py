@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 import torch
+from entry import untouched
 
 CAMPAIGN = Path(__file__).parent / "campaign"
 
 
-@pytest.mark.parametrize("cases", [6, pytest.param(1500, marks=pytest.mark.slow)])
-def test_no_case_of_a_campaign_fails(cases):
-    words = [sys.executable, str(CAMPAIGN / "run.py"), "--seed", "1", "--cases", str(cases)]
+def test_no_case_of_a_small_campaign_fails(monkeypatch, capsys):
+    monkeypatch.setenv("PYTHONUNBUFFERED", "")
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(sys, "argv", ["run.py", "--seed", "1", "--cases", "6"])
+    with untouched():
+        failed = runpy.run_path(str(CAMPAIGN / "run.py"), run_name="campaign")["main"]()
+    said = capsys.readouterr().out
+    assert failed == 0, said
+    assert said.splitlines()[-1].startswith("all")
+
+
+@pytest.mark.slow
+def test_no_case_of_a_campaign_fails():
+    words = [sys.executable, str(CAMPAIGN / "run.py"), "--seed", "1", "--cases", "1500"]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.splitlines()[-1].startswith("all")
