@@ -9,7 +9,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -111,6 +111,16 @@ def call(module: str, *arguments: str) -> int:
         with pytest.raises(SystemExit) as stopped:
             main()
     return int(stopped.value.code or 0)
+
+
+def forked(module: str, *arguments: str) -> int:
+    """Start `python -m module arguments` in a copy of this process, with its imports; return its id."""
+    process = os.fork()
+    if process == 0:
+        with suppress(BaseException):
+            os._exit(call(module, *arguments))
+        os._exit(1)
+    return process
 
 
 def started(folder: Path, *overrides: str) -> subprocess.Popen:

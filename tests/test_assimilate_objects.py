@@ -5,14 +5,12 @@ from __future__ import annotations
 import csv
 import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
 import torch
-from entry import call
+from entry import call, forked
 
 import ahnn
 
@@ -106,19 +104,19 @@ def test_estimates_have_epochs_where_time_zero_has_one(kind):
 
 
 @pytest.mark.usefixtures("place")
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 def test_a_killed_command_goes_on_with_the_same_bytes():
-    command = [sys.executable, "-m", "ahnn.assimilate", *COMMAND, *GIVEN, "every=7"]
     names = ["output=parts.csv", "state=parts.state", "states=parts.last.csv"]
     assert (
         assimilate(*GIVEN, "every=7", "output=whole.csv", "state=whole.state", "states=whole.last.csv") == 0
     )
-    running = subprocess.Popen([*command, *names], stderr=subprocess.DEVNULL, env={**os.environ})
-    while running.poll() is None and not (
-        Path("parts.csv").exists() and Path("parts.csv").stat().st_size > 9000
-    ):
+    running = forked("ahnn.assimilate", *COMMAND, *GIVEN, "every=7", *names)
+    while os.waitpid(running, os.WNOHANG) == (0, 0):
+        if Path("parts.csv").exists() and Path("parts.csv").stat().st_size > 9000:
+            os.kill(running, signal.SIGKILL)
+            os.waitpid(running, 0)
+            break
         time.sleep(0.001)
-    running.send_signal(signal.SIGKILL)
-    running.wait()
     assert assimilate(*GIVEN, "every=7", *names) == 0
     for name in ("csv", "last.csv"):
         assert Path(f"parts.{name}").read_bytes() == Path(f"whole.{name}").read_bytes()
