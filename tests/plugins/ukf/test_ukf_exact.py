@@ -37,7 +37,7 @@ def kalman_filter(problem, b):
 @pytest.mark.parametrize(("size", "width"), [(2, 1), (3, 2), (4, 4), (6, 3), (8, 5)])
 @pytest.mark.sampled(3)
 def test_equals_the_kalman_filter(make_linear, close, form, size, width):
-    problem, model = make_linear(size, width, steps=1000, batch=2, seed=size)
+    problem, model = make_linear(size, width, steps=400, batch=2, seed=size)
     belief = initial_belief(problem.mean, problem.p0)
     result = unscented_filter(
         problem.flow, belief, problem.measurements, model, problem.q, problem.r, 1.0, form=form
