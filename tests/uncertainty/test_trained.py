@@ -24,7 +24,7 @@ TINY += ["experiment=pendulum_angles", "plugins=none", "logger=none"]
 def folder(tmp_path_factory):
     """A training on measurements, of two steps."""
     place = tmp_path_factory.mktemp("runs") / "angles"
-    assert call("ahnn.train", *TINY, f"run={place}", "system.steps=60") == 0
+    assert call("ahnn.train", *TINY, f"run={place}", "system.steps=40") == 0
     return place
 
 
@@ -46,7 +46,7 @@ def test_a_training_on_measurements_leaves_the_covariance_of_its_weights(folder)
 
 @pytest.mark.slow
 def test_a_training_goes_on_from_the_parameters_before_the_step_of_functions(folder, tmp_path):
-    more = [*TINY, "system.steps=60", f"weights={folder}", f"run={tmp_path / 'more'}"]
+    more = [*TINY, "system.steps=40", f"weights={folder}", f"run={tmp_path / 'more'}"]
     assert call("ahnn.train", *more) == 0
     assert ahnn.load(tmp_path / "more").trained.spec["network"]["width"] == 4
 
