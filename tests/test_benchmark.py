@@ -26,7 +26,7 @@ def drawn(k):
     return Draw(Trajectories(states, times), Space("spring", ("q", "p")), (0.8, 0.1, 0.1), score)
 
 
-QUICK = ("model=hnn", "budget=smoke")
+QUICK = ("model=hnn", "budget=smoke", "evaluation=scores")
 
 
 @pytest.fixture
