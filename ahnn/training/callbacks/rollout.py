@@ -31,8 +31,8 @@ class ValidationRollout(Callback):
     distance of the system size from the truth, and an RMSE would select weights by chance.
 
     Measurements have no true initial state for a rollout: training on them logs nothing, and selects weights
-    by `val/loss`. The same applies to windows of full trajectories, whose loss already measures full
-    predictions.
+    by `val/loss`. The loss of windows of full trajectories already measures full predictions: there, rollouts
+    are computed only where a callback monitors them.
 
     Args:
         count: number of trajectories; 0 logs nothing.
@@ -46,7 +46,7 @@ class ValidationRollout(Callback):
 
     def seconds(self, epoch: int, trainer: Trainer, module: LightningModule, data: WindowDataModule) -> float:
         """Estimate the duration of the rollouts in an epoch, in seconds, from a few timed steps."""
-        if self._silent(data) or ((epoch + 1) % self.every and epoch + 1 != trainer.max_epochs):
+        if self._silent(trainer, data) or ((epoch + 1) % self.every and epoch + 1 != trainer.max_epochs):
             return 0.0
         if self._measured is None:
             flow, whole = _flow(module), data.trajectories("val").part(slice(self.count))
@@ -78,16 +78,18 @@ class ValidationRollout(Callback):
 
     def judge(self, trainer: Trainer, module: LightningModule) -> float | None:
         """Return the value of a model in this epoch, or the latest one; None where none is computed."""
-        if self._silent(cast(Any, trainer).datamodule):
+        if self._silent(trainer, cast(Any, trainer).datamodule):
             return None
         epoch = trainer.current_epoch + 1
         if trainer.sanity_checking or epoch % self.every == 0 or epoch == trainer.max_epochs:
             self.latest = self._error(trainer, module)
         return self.latest
 
-    def _silent(self, data: WindowDataModule) -> bool:
+    def _silent(self, trainer: Trainer, data: WindowDataModule) -> bool:
         if self.count == 0 or data.stages is not None:
             return True
+        if any(getattr(callback, "monitor", None) == "val/rollout" for callback in trainer.callbacks):  # pyright: ignore[reportAttributeAccessIssue]
+            return False
         return data.window + 1 == data.trajectories("val").states.shape[1]
 
     def _error(self, trainer: Trainer, pl_module: LightningModule) -> float:
