@@ -5,9 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ahnn.errors import UserError
 from ahnn.measurements import Instrument, Observations, Segment
-from ahnn.measurements.smoothing import DEGREE, FIRST, located_at
+from ahnn.measurements.smoothing import DEGREE, FIRST, located_at, no_start
 
 
 class Segments:
@@ -37,12 +36,7 @@ class Segments:
         there = located_at(instrument, self.values, times).isfinite().all(-1)
         good = there & (ahead(there, FIRST) > DEGREE)
         if not bool(good.any()):
-            message = (
-                f"data: expected trajectories with at least {DEGREE + 1} of {FIRST} consecutive "
-                f"measurements, which determine an initial state; received {rows} trajectories of {samples} "
-                "times each, none of which has them. Measure more often"
-            )
-            raise UserError(message)
+            no_start(times)
         last = (times.isfinite() * torch.arange(samples)).amax(1, keepdim=True)
         fitting = good & (torch.arange(samples) + (intervals or samples) <= last)
         if intervals is None or not bool(fitting.any()):

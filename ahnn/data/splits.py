@@ -14,6 +14,7 @@ from ahnn.data.sensor import Sensor
 from ahnn.data.sources import Observed, Source
 from ahnn.errors import UserError
 from ahnn.measurements import Instrument, Observations
+from ahnn.measurements.smoothing import momenta_are_sparse
 from ahnn.statistics import sampling_interval
 from ahnn.types import Trajectories
 
@@ -117,7 +118,14 @@ class SplitData:
         assert self.sensor is not None
         spacing = sampling_interval(self["test"])
         found = self.sensor.instrument(float(spacing.nanmedian()) if isinstance(spacing, Tensor) else spacing)
+        found = found._replace(sparse_momenta=self.momenta_are_sparse)
         return found._replace(deviations=self.level_of_noise) if self.sensor.unknown.sizes else found
+
+    @cached_property
+    def momenta_are_sparse(self) -> bool:
+        """Whether the training measurements have too few momenta to estimate states from them."""
+        assert self.sensor is not None
+        return momenta_are_sparse(self.sensor.instrument(1.0), *self.measured("train"))
 
     @cached_property
     def level_of_noise(self) -> Tensor:

@@ -28,6 +28,8 @@ class Instrument(NamedTuple):
         colour: correlation of the noise; None for white noise.
         freedom: (M,) degrees of freedom of Student's noise, whose scales are the deviations, inf where it is
             normal; None if all is normal.
+        sparse_momenta: whether states are measured with too few momenta to estimate states from them; then
+            momenta are estimated from positions.
     """
 
     measurement: Measurement
@@ -40,6 +42,7 @@ class Instrument(NamedTuple):
     bias_sd: Tensor | None = None
     colour: Colour | None = None
     freedom: Tensor | None = None
+    sparse_momenta: bool = False
 
 
 class Segment(NamedTuple):

@@ -5,11 +5,12 @@ No dynamics are needed; the results provide scalings and initial values of fits.
 
 from __future__ import annotations
 
-from typing import NamedTuple, cast
+from typing import NamedTuple, NoReturn, cast
 
 import torch
 from torch import Tensor
 
+from ahnn.errors import UserError
 from ahnn.measurements.base import Locating
 from ahnn.measurements.segment import Instrument, Segment
 
@@ -76,7 +77,15 @@ def guess(segment: Segment) -> Tensor:
 
 def located_at(instrument: Instrument, values: Tensor, times: Tensor) -> Tensor:
     """Return positions (..., n) or states (..., 2n) estimated from measurements (..., M)."""
-    return cast(Locating, instrument.measurement).locate(values, times)
+    located = cast(Locating, instrument.measurement).locate(values, times)
+    return located[..., : instrument.dof] if instrument.sparse_momenta else located
+
+
+def momenta_are_sparse(instrument: Instrument, values: Tensor, times: Tensor) -> bool:
+    """Return whether fewer states than an initial guess requires, of all measured positions, have momenta."""
+    located = located_at(instrument, values, times).isfinite()
+    positions = located[..., : instrument.dof].all(-1).sum()
+    return bool(located.all(-1).sum() * FIRST < positions * (DEGREE + 1))
 
 
 def as_states(value: Tensor, rate: Tensor, instrument: Instrument) -> Tensor:
@@ -94,6 +103,9 @@ def smoothed(instrument: Instrument, values: Tensor, times: Tensor, count: int, 
         times: (B, T) times.
         count: approximate number of samples.
         seed: seed of the random selection.
+
+    Raises:
+        UserError: no sample has enough neighbours.
     """
     rows = located_at(instrument, values, times).isfinite().all(-1).nonzero()
     draw = torch.randperm(len(rows), generator=torch.Generator().manual_seed(seed))[:count]
@@ -103,11 +115,23 @@ def smoothed(instrument: Instrument, values: Tensor, times: Tensor, count: int, 
         if width > FIRST and 2 * width + 1 > values.shape[1]:
             break
         local = around(instrument, values, times, chosen, width)
+        if not len(local.error):
+            continue
         size = float((local.error / scale_of(local)).square().median(0).values.sum())
         if size < least:
             best, least = local._replace(width=width), size
-    assert best is not None
-    return best
+    return best or no_start(times)
+
+
+def no_start(times: Tensor) -> NoReturn:
+    """Raise UserError for measurements at times (B, T) too sparse to determine any initial state."""
+    rows, samples = times.shape
+    message = (
+        f"data: expected trajectories with at least {DEGREE + 1} of {FIRST} consecutive measurements of the "
+        f"position or state, which determine an initial state; received {rows} trajectories of {samples} "
+        "times each, none of which has them. Measure more often"
+    )
+    raise UserError(message)
 
 
 def scale_of(local: Local) -> Tensor:

@@ -26,6 +26,7 @@ from ahnn.cores import each, slices
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import parametrised
 from ahnn.dynamics.variations import jacobian_along, varied
+from ahnn.errors import UserError
 from ahnn.jacobians import TOGETHER, pointwise_jacobian
 from ahnn.measurements import Segment
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
@@ -104,6 +105,12 @@ class WeakProblem:
         anywhere = batch.values.nanmean(1, keepdim=True)  # for missing samples; sums with them are ignored
         self.values = torch.where(batch.values.isnan(), anywhere, batch.values)
         self.count = int(self.tests.there.sum()) * self.values.shape[-1] * (len(self.values) if alike else 1)
+        if not self.count:
+            message = (
+                f"loss: expected, for the weak form, more than {2 * width} consecutive measurements of all "
+                "components; received none. Choose recipe=measurements, which uses each measured component"
+            )
+            raise UserError(message)
         self.factor = self._factor()
 
     @torch.no_grad()

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ahnn.data.doctor.finding import Finding, Level
+from ahnn.data.doctor.rare_rates import missing_rates, rarely_measured
 from ahnn.data.doctor.slopes import interpolated
 from ahnn.data.files.content import Content
 from ahnn.data.files.samples import Track, filled, stacked
@@ -37,8 +38,10 @@ def sample_findings(content: Content, gap: float) -> Iterator[Finding]:
         gap: multiple of the median step that counts as a gap, for samples not on a grid.
     """
     names = (*content.positions, *content.rates)
+    rare = rarely_measured(content)
+    yield from missing_rates(content, rare)
     for track in content.tracks:
-        yield from missing(track, names)
+        yield from missing(track, names, rare)
         yield from gaps(track, content.time, gap)
         yield from outliers(track, names)
     yield from runs_of_outliers(content, names)
@@ -48,9 +51,11 @@ def sample_findings(content: Content, gap: float) -> Iterator[Finding]:
     yield from noise(content, names, gap)
 
 
-def missing(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
-    """Yield a finding for each missing value."""
+def missing(track: Track, names: tuple[str, ...], rare: Sequence[int] = ()) -> Iterator[Finding]:
+    """Yield a finding for each missing value, except in columns named as a whole."""
     for k, c in zip(*np.nonzero(np.isnan(track.values)), strict=True):
+        if c in rare:
+            continue
         remedy = "Nothing to do: the sample counts as missing"
         yield Finding("warning", track.file, int(track.rows[k]), names[c], "a missing number", remedy)
 

@@ -39,6 +39,18 @@ def test_each_missing_number_is_named():
     assert found == [("warning", 3, "y"), ("warning", 6, "x")]
 
 
+def test_rates_missing_at_most_positions_are_one_finding():
+    values = np.stack((np.arange(30.0), np.ones(30)), axis=1)
+    values[np.arange(30) % 3 > 0, 1] = np.nan
+    values[4, 0] = np.nan
+    found = [
+        one for one in sample_findings(content(track(values), rates=("v",)), 10.0) if "missing" in one.what
+    ]
+    assert [(one.level, one.row, one.column) for one in found] == [("warning", 1, "v"), ("warning", 6, "q")]
+    assert found[0].what == "missing in 19 of 29 rows with positions"
+    assert "leave out column v" in found[0].remedy
+
+
 @pytest.mark.parametrize(("absent", "said"), [(1, "1 sample is missing"), (3, "3 samples are missing")])
 def test_a_gap_says_how_many_are_missing_before_which_row(absent, said):
     times = np.cumsum([0.0, *[0.1] * 9, 0.1 * (absent + 1), *[0.1] * 9])
