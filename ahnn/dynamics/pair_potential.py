@@ -150,6 +150,9 @@ def body_masses(dof: int, mass: float | Sequence[float], dimensions: int) -> lis
 def for_bodies(dynamics: nn.Module, masses: Sequence[float]) -> nn.Module:
     """Transfer learned pair dynamics to other bodies.
 
+    The result propagates states of its own bodies, (B, 2 n) with n = bodies * dimensions, and can be saved
+    with `ahnn.save`.
+
     Args:
         dynamics: `HamiltonianDynamics` with hamiltonian=pairs.
         masses: masses of two or more bodies.
@@ -167,5 +170,8 @@ def for_bodies(dynamics: nn.Module, masses: Sequence[float]) -> nn.Module:
         message = f"masses: expected two or more finite masses > 0; received {list(masses)}"
         raise UserError(message)
     potential.masses = [float(mass) for mass in masses]
-    cast(Any, field).kinetic = Quadratic([m for m in potential.masses for _ in range(potential.dimensions)])
+    inertia = [mass for mass in potential.masses for _ in range(potential.dimensions)]
+    cast(Any, field).kinetic = Quadratic(inertia).to(potential.unit)
+    if hasattr(found, "spec"):
+        found.spec = {**found.spec, "dof": len(inertia), "inertia": inertia}
     return found

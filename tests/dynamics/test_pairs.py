@@ -6,7 +6,9 @@ import pytest
 import torch
 from helpers import close, generator
 
+import ahnn
 from ahnn.data.generate import generate
+from ahnn.dynamics import make_dynamics
 from ahnn.dynamics.derivatives import field_jacobian, mapped_field_jacobian
 from ahnn.dynamics.fields import HamiltonianDynamics
 from ahnn.dynamics.pair_potential import for_bodies
@@ -17,12 +19,15 @@ from ahnn.systems import NBody
 THREE = NBody(name="three", dt=0.01, steps=20, masses=[1.0, 2.0, 0.5])
 
 
+def given(system):
+    options = {"hamiltonian": "pairs", "mu": None, "falloff": 1.0, "dimensions": 2, "inputs": "cartesian"}
+    options |= {"network": {"width": 6, "depth": 2, "activation": "tanh"}, "integrator": {"name": "rk4"}}
+    return options | {"dof": system.dof, "inertia": list(system.inertia), "scaling": "minmax"}
+
+
 def dynamics(system=THREE, **options):
     torch.manual_seed(0)
-    given = {"hamiltonian": "pairs", "mu": None, "falloff": 1.0, "dimensions": 2, "inputs": "cartesian"}
-    given |= {"network": {"width": 6, "depth": 2, "activation": "tanh"}, "integrator": {"name": "rk4"}}
-    mass = list(system.inertia)
-    found = HamiltonianDynamics(system.dof, inertia=mass, scaling="minmax", **given | options).double()
+    found = HamiltonianDynamics(**given(system) | options).double()
     found.fit(Statistics.of(generate(system, 8, 0)))
     return found
 
@@ -88,6 +93,27 @@ def test_what_was_learned_of_three_bodies_adds_up_for_five():
             two = for_bodies(learned, [masses[i], masses[j]])
             pairs = pairs + two.energy(torch.cat((q[:, i], q[:, j], torch.zeros(4, 4).double()), dim=-1))
     close(five.energy(x), pairs, 1e-12)
+
+
+@pytest.mark.parametrize("masses", [[1.0, 2.0, 0.5, 1.5, 0.8], [3.0, 1.0], [1.0, 1.0, 1.0]])
+def test_the_dynamics_of_other_bodies_propagate_their_states_and_are_saved(tmp_path, masses):
+    learned = make_dynamics("hamiltonian", **given(THREE)).double()
+    learned.fit(Statistics.of(generate(THREE, 8, 0)))
+    found, dof = for_bodies(learned, masses), 2 * len(masses)
+    x = torch.cat((3 * torch.randn(4, dof, generator=generator(5)), torch.zeros(4, dof)), dim=-1).double()
+    step = found(x, 0.01)
+    close(step, x + found.increment(x, 0.01), 1e-12)
+    orbit = found.rollout(x, 5, 0.01)
+    assert orbit.shape == (4, 6, 2 * dof)
+    close(orbit[:, 1], step, 1e-12)
+    close(found.energy(orbit[:, -1]), found.energy(x), 1e-3)
+    each = [mass for mass in masses for _ in range(2)]
+    assert f"dof={dof}, inertia={each}" in repr(found)
+    assert learned.spec["dof"] == 6
+    names = tuple(f"{kind}{k}" for kind in ("q", "p") for k in range(dof))
+    run = ahnn.save(found, ahnn.Space("bodies", names, inertia=tuple(each)), 0.01, tmp_path / "run")
+    close(run.rollout(x, 5), orbit, 1e-12)
+    close(ahnn.load(tmp_path / "run").energy(x), found.energy(x), 1e-12)
 
 
 @pytest.mark.parametrize(
