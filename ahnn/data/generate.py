@@ -12,6 +12,7 @@ from ahnn.memory import require_memory
 from ahnn.progress import progress_bar
 from ahnn.rollouts import stepped
 from ahnn.systems import System
+from ahnn.systems.drawn_states import drawn_states
 from ahnn.systems.hamilton_check import require_hamilton
 from ahnn.systems.truth import exact_flow
 from ahnn.types import Trajectories, rows_of_part
@@ -38,7 +39,7 @@ def generated(system: System, count: int, seed: int) -> Iterator[Trajectories]:
             accurately, or the energy of the system is inconsistent with its force.
     """
     generator = torch.Generator().manual_seed(seed)
-    x = system.initial_states(count, generator)
+    x = drawn_states(system, count, generator)
     steps = system.durations(x)
     longest = longest_of(system, steps)
     require_memory("system.steps, system.periods", "states of a trajectory", 8.0 * (longest + 1) * x.shape[1])

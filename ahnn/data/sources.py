@@ -16,6 +16,7 @@ from ahnn.data.in_memory import content_of
 from ahnn.measurements import Observations
 from ahnn.memory import require_disk
 from ahnn.systems import System
+from ahnn.systems.drawn_states import drawn_states
 from ahnn.types import Space, Trajectories
 
 
@@ -90,7 +91,7 @@ class Simulated:
 
     def steps(self) -> int:
         """Return the number of steps of a trial trajectory."""
-        return int(self.truth.durations(self.truth.initial_states(1, torch.Generator().manual_seed(0))).max())
+        return int(self.truth.durations(drawn_states(self.truth, 1, torch.Generator().manual_seed(0))).max())
 
     def read(self) -> Trajectories:
         """Return the trajectories, from the cache if present; the cache contains no controls."""

@@ -15,6 +15,7 @@ from ahnn.estimation.scenario import Setting
 from ahnn.estimation.sensor_error import SensorError
 from ahnn.measurements import Biases, Measurement, noise_deviations, reading
 from ahnn.systems import System
+from ahnn.systems.drawn_states import drawn_states
 from ahnn.types import Space
 
 
@@ -84,7 +85,7 @@ def _samples(times: Sequence[float], dt: float, steps: int) -> tuple[int, ...]:
 
 def _try(measurement: Any, system: System, time: float) -> None:
     """Evaluate a measurement model on an initial state as a check."""
-    x = system.initial_states(1, torch.Generator().manual_seed(0))
+    x = drawn_states(system, 1, torch.Generator().manual_seed(0))
     mass = getattr(measurement, "mass", system.inertia)
     if mass != system.inertia:
         message = (

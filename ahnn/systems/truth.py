@@ -17,6 +17,7 @@ from ahnn.jacobians import differenced
 from ahnn.rollouts import rollout
 from ahnn.substeps import substeps, substeps_of_each
 from ahnn.systems.base import System
+from ahnn.systems.drawn_states import drawn_states
 from ahnn.types import Flow, TimeStep
 
 ACCURACY = 1e-10
@@ -88,7 +89,7 @@ def accurate_substeps(system: System) -> int:
 def _trial_error(system: System, count: int) -> float:
     """Return the estimated error of a trajectory with `count` substeps, relative to its size."""
     generator = torch.Generator().manual_seed(0)
-    start = system.initial_states(TRIED, generator)
+    start = drawn_states(system, TRIED, generator)
     whole = int(system.durations(start).max())
     steps = min(whole, max(4, STEPS // count))
     times = torch.arange(steps + 1, dtype=torch.float64) * system.dt

@@ -37,7 +37,7 @@ def test_states_that_leave_all_bounds_are_refused_and_not_stored(tmp_path):
 def test_one_state_that_is_not_finite_is_enough(monkeypatch):
     drawn = SPRING.initial_states(4, torch.Generator().manual_seed(0))
     drawn[2, 1] = torch.inf
-    monkeypatch.setattr(type(SPRING), "initial_states", lambda *_: drawn)
+    monkeypatch.setattr(type(SPRING), "initial_states", lambda _, count, __: drawn.repeat(4, 1)[:count])
     with pytest.raises(UserError, match=r"in trajectory 2 after 0 steps .* 1 of 4 trajectories diverge"):
         generate(dataclasses.replace(SPRING, steps=3), 4, 0)
 

@@ -8,6 +8,7 @@ import pytest
 import torch
 from helpers import SYSTEMS, close
 
+from ahnn.data import Simulated
 from ahnn.data.generate import generate
 from ahnn.errors import UserError
 from ahnn.systems import FilterNoise, MassSpring, System, Units
@@ -55,6 +56,33 @@ def test_differences_are_the_gradient():
 )
 def test_another_force_or_velocity_is_refused(system, law):
     with pytest.raises(UserError, match=rf"system own: expected {law} = .* where the energy gives"):
+        generate(system, 4, 0)
+
+
+FLAT = {
+    "force": lambda _, q: -q[..., 0],
+    "velocity": lambda _, p: p[..., 0],
+    "energy": lambda _, x: x.square() / 2,
+    "hamiltonian": lambda _, x: x[..., :1],
+    "initial_states": lambda _, count, generator: torch.rand(2, count, generator=generator).double(),
+}
+
+
+@pytest.mark.parametrize("method", FLAT)
+def test_a_method_that_returns_another_shape_is_named(method):
+    system = type("Flat", (MassSpring,), {method: FLAT[method]})(**SMALL)
+    with pytest.raises(
+        UserError, match=rf"system own: expected a tensor of shape .* from `{method}`; received"
+    ):
+        generate(system, 4, 0)
+    with pytest.raises(UserError, match=f"from `{method}`"):
+        Simulated(system, trajectories=4, seed=0, cache="none").steps()
+
+
+def test_initial_states_in_single_precision_are_refused():
+    draw = lambda _, count, generator: torch.rand(count, 2, generator=generator)  # noqa: E731
+    system = type("Single", (MassSpring,), {"initial_states": draw})(**SMALL)
+    with pytest.raises(UserError, match=r"`initial_states`; received float32\. Give dtype=torch\.float64"):
         generate(system, 4, 0)
 
 

@@ -12,6 +12,7 @@ from ahnn.estimation.scenario import Problem, Setting
 from ahnn.estimation.trial import Filter, assimilate
 from ahnn.evaluation.estimators.noise_options import NoiseOption, given_noise
 from ahnn.systems import System
+from ahnn.systems.drawn_states import drawn_states
 from ahnn.types import TimeStep
 
 
@@ -33,7 +34,7 @@ def require_possible(
     Raises:
         UserError: the filter fails, or a matrix is not a covariance.
     """
-    x = system.initial_states(1, torch.Generator().manual_seed(0))
+    x = drawn_states(system, 1, torch.Generator().manual_seed(0))
     nothing = torch.zeros(x.shape[-1], x.shape[-1], dtype=torch.float64)
     known = given_noise(option, system.space) if not isinstance(option, str) else None
     q, error = (nothing, None) if known is None else known
