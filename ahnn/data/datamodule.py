@@ -106,7 +106,7 @@ class WindowDataModule(LightningDataModule):
         self.span, self.clock = max(self.window, steps), clock
         truth: Any = self.source.truth
         if truth is not None and getattr(truth, "periods", None) is None:
-            require_span(self.span, truth.steps)
+            require_span(self.span, truth.steps, self.window)
 
     def trajectories(self, split: Split) -> Trajectories:
         """Return the trajectories of a split, with measured instead of true states if applicable."""
@@ -226,7 +226,7 @@ class WindowDataModule(LightningDataModule):
     ) -> WindowLoader:
         if (split, span) not in self._windows:
             data = on_clock(self.trajectories(split), self.clock)
-            self._windows[split, span] = Windows(data, span, self.dtype)
+            self._windows[split, span] = Windows(data, span, self.dtype, self.window)
         windows = self._windows[split, span]
         size = 16.0 * min(self.batch_size, len(windows)) * (span + 1) * windows.flat.shape[-1]
         require_memory("data.batch_size", "the windows of a batch", size)

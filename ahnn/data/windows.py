@@ -27,15 +27,18 @@ class Windows:
         trajectories: the data; kept in float64.
         steps: number W of steps per window, which spans W + 1 samples.
         dtype: dtype of the batches.
+        window: number of recursive predictions; None: as many as steps. See `require_span`.
 
     Raises:
         UserError: no segment is long enough for a window.
     """
 
-    def __init__(self, trajectories: Trajectories, steps: int, dtype: torch.dtype) -> None:
+    def __init__(
+        self, trajectories: Trajectories, steps: int, dtype: torch.dtype, window: int | None = None
+    ) -> None:
         firsts, lengths = stretches_of(trajectories)
         counts = (lengths - steps).clamp(min=0)
-        require_span(steps, int(lengths.max()) - 1 if len(lengths) else 0)
+        require_span(steps, int(lengths.max()) - 1 if len(lengths) else 0, window)
         self.ends = counts.cumsum(0)
         self.firsts = firsts - (self.ends - counts)
         self.flat = trajectories.states.reshape(-1, trajectories.states.shape[-1])
@@ -104,18 +107,39 @@ def on_clock(trajectories: Trajectories, count: int) -> Trajectories:
     return trajectories._replace(states=extended(trajectories.states, clock))
 
 
-def require_span(steps: int, longest: int) -> None:
-    """Raise UserError for windows of no step, or longer than the longest segment of samples."""
+def require_span(steps: int, longest: int, window: int | None = None) -> None:
+    """Check that windows fit into the data.
+
+    Args:
+        steps: number of steps of the windows.
+        longest: number of steps of the longest segment of samples without a gap.
+        window: number W of recursive predictions; windows with more steps have them for derivatives of the
+            data, and their number is the order of these. None: as many as steps.
+
+    Raises:
+        UserError: windows of no step, or longer than the longest segment; the message names W, the order, or
+            both.
+    """
     if longest < 1:
         expected = "at least two consecutive samples, to form windows"
         message = f"data: expected {expected}; received none"
         raise UserError(message)
-    if not 1 <= steps <= longest:
-        message = (
-            f"window, loss.order: expected windows of 1 to {longest} steps, the longest segment of "
-            f"samples without a gap; received {steps}. Shorten the windows, or set loss.derivative=0"
-        )
-        raise UserError(message)
+    if 1 <= steps <= longest:
+        return
+    window = steps if window is None else window
+    keys, received, remedies = [], [], []
+    if not 1 <= window <= longest:
+        keys, received = ["window"], [f"window={window}"]
+        remedies = [f"window={longest}" + (" or less" if longest > 1 else "")]
+    if steps > window:
+        lower = f"loss.order={longest - longest % 2} or less, or " if longest > 1 else ""
+        keys, received = [*keys, "loss.order"], [*received, f"loss.order={steps}"]
+        remedies.append(f"{lower}loss.derivative=0, which fits no derivatives")
+    message = (
+        f"{', '.join(keys)}: expected windows of 1 to {longest} steps, the longest segment of samples without "
+        f"a gap; received {', '.join(received)}. Set {', and '.join(remedies)}"
+    )
+    raise UserError(message)
 
 
 def stretches_of(trajectories: Trajectories) -> tuple[Tensor, Tensor]:

@@ -7,7 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ahnn.data.windows import Windows, on_clock
+from ahnn.data.windows import Windows, on_clock, require_span
 from ahnn.errors import UserError
 from ahnn.types import Trajectories
 
@@ -102,6 +102,33 @@ def test_samples_that_stand_alone_are_named_and_not_windows_of_one_to_no_steps()
         Windows(numbered([[1, 1], [1]]), 3, torch.float64)
     with pytest.raises(UserError, match="expected windows of 1 to 1 steps"):
         Windows(numbered([[2, 1]]), 3, torch.float64)
+
+
+@pytest.mark.parametrize(
+    ("longest", "steps", "window", "message"),
+    [
+        (4, 5, 5, "window: expected windows of 1 to 4 steps, .* received window=5. Set window=4 or less$"),
+        (1, 5, None, "window: expected windows of 1 to 1 steps, .* received window=5. Set window=1$"),
+        (9, 12, 5, "^loss.order: .* received loss.order=12. Set loss.order=8 or less, or loss.derivative=0,"),
+        (
+            1,
+            12,
+            1,
+            "^loss.order: .* received loss.order=12. Set loss.derivative=0, which fits no derivatives",
+        ),
+        (
+            4,
+            12,
+            5,
+            "^window, loss.order: .* received window=5, loss.order=12. Set window=4 or less, and loss.order=4",
+        ),
+    ],
+)
+def test_windows_too_long_name_their_own_key_and_remedy(longest, steps, window, message):
+    with pytest.raises(UserError, match=message):
+        require_span(steps, longest, window)
+    with pytest.raises(UserError, match=message):
+        Windows(numbered([[longest + 1]]), steps, torch.float64, window)
 
 
 def test_states_are_put_on_the_clock_of_their_trajectories():
