@@ -136,8 +136,8 @@ def require_span(steps: int, longest: int, window: int | None = None) -> None:
         keys, received = [*keys, "loss.order"], [*received, f"loss.order={steps}"]
         remedies.append(f"{lower}loss.derivative=0, which fits no derivatives")
     message = (
-        f"{', '.join(keys)}: expected windows of 1 to {longest} steps, the longest segment of samples without "
-        f"a gap; received {', '.join(received)}. Set {', and '.join(remedies)}"
+        f"{', '.join(keys)}: expected windows of 1 to {longest} steps, the longest segment of samples "
+        f"without a gap; received {', '.join(received)}. Set {', and '.join(remedies)}"
     )
     raise UserError(message)
 

@@ -68,7 +68,7 @@ def test_an_empty_split_is_refused(cache):
 
 
 def test_a_window_longer_than_a_trajectory_is_refused(cache):
-    with pytest.raises(UserError, match=r"windows of 1 to 40 steps.*received 41"):
+    with pytest.raises(UserError, match=r"windows of 1 to 40 steps.*received window=41"):
         data_module(SPRING, cache, window=41).train_dataloader()
 
 

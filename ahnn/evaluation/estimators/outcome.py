@@ -115,18 +115,19 @@ def _outcome(
     return Outcome(who, estimate, chol, nees(estimate - problem.truth, chol), first, result)
 
 
-def rows(outcome: Outcome, case: Case, without: Scores | None) -> list[Row]:
+def rows(outcome: Outcome, case: Case, without: Scores | None, floor: Scores | None = None) -> list[Row]:
     """Return the rows of an outcome: over the entire arc, and after the first update.
 
     Args:
         outcome: outcome of a filter.
         case: evaluated case.
         without: scores from the same start without a filter, for a remark on a worse filter; None: no remark.
+        floor: scores of this estimator with the exact flow, for the reason of the remark; None if unknown.
     """
     whole, extra = case.score(outcome.estimate), {"lost": outcome.lost}
     settled = case.score(outcome.estimate, outcome.first)
     return [
-        Row(outcome.who, whole, _remark(outcome, whole, without, case.space), extra),
+        Row(outcome.who, whole, _remark(outcome, whole, (without, floor), case.space), extra),
         Row(outcome.who._replace(span="settled"), settled, _consistency_remark(outcome, case), extra),
     ]
 
@@ -136,7 +137,9 @@ def name(outcome: Outcome, case: Case) -> str:
     return title(outcome.who, case.label)
 
 
-def _remark(outcome: Outcome, whole: Scores, without: Scores | None, space: Space) -> str:
+def _remark(
+    outcome: Outcome, whole: Scores, others: tuple[Scores | None, Scores | None], space: Space
+) -> str:
     """Return remarks on members that failed or had no measurements, and on a filter worse than prediction."""
     remarks = []
     if outcome.lost:
@@ -147,6 +150,7 @@ def _remark(outcome: Outcome, whole: Scores, without: Scores | None, space: Spac
         remarks.append(f"{unmeasured} of {len(outcome.nees)} without any measurement")
     if outcome.more.get("unsettled"):
         remarks.append(f"{outcome.more['unsettled']} of {len(outcome.nees)} have not settled")
+    without, floor = others
     worse = [] if without is None else _worse(whole, without, space)
     if worse:
         mean, (low, high) = _nees(outcome)
@@ -154,8 +158,11 @@ def _remark(outcome: Outcome, whole: Scores, without: Scores | None, space: Spac
             reason = "lost members"
         elif outcome.who.start == "true" and mean <= high:
             reason = "the start is exact, measurements are not"
+        elif not low <= mean <= high:
+            reason = "overconfident" if mean > high else "cautious"
         else:
-            reason = "overconfident" if mean > high else "cautious" if mean < low else "measurement noise"
+            also = _worse(floor, without, space) if floor and without else worse
+            reason = "measurement noise" if {*worse} & {*also} else "the model or its process noise"
         where = "" if len(worse) == 2 else f" in {worse[0]}"
         remarks.append(f"worse than no filter{where}: {reason}")
     return "; ".join(remarks)

@@ -175,9 +175,11 @@ class EstimatorEvaluation:
         }
         scores = {start: case.score(prediction) for start, prediction in without.items()}
         findings.numbers["filters"] = {}
+        floors = {(o.who.estimator, o.who.start): case.score(o.estimate) for o in outcomes if o.who.floor}
         for outcome in outcomes:
             who = outcome.who
-            findings.rows += rows(outcome, case, scores[who.start] if who.process == MODEL else None)
+            compared = scores[who.start] if who.process == MODEL else None
+            findings.rows += rows(outcome, case, compared, floors.get((who.estimator, who.start)))
             several = findings.numbers["filters"].setdefault(who.estimator, {})
             entry = several.setdefault("floor" if who.floor else who.process, {})
             entry[who.start] = numbers(outcome, case) | moving_averages(outcome, case)

@@ -253,7 +253,7 @@ def test_a_filter_that_spoils_the_velocity_alone_says_so(make_case: Callable[...
     case = make_case(SPRING, Integrated(SPRING, RK4))
     findings = run(case, "process_noise=[0.0,5e-5]")
     row = next(row for row in findings.rows if row.who.start == "perturbed")
-    assert row.note == "worse than no filter in velocity: measurement noise"
+    assert row.note == "worse than no filter in velocity: the model or its process noise"
 
 
 def test_a_station_that_would_read_momenta_as_velocities_is_refused(make_case: Callable[..., Case]) -> None:

@@ -204,6 +204,19 @@ def test_why_a_filter_is_worse_than_none(tmp_path):
     assert remark(fine, same.position, same.velocity) == ""
 
 
+def test_noise_is_blamed_only_if_the_filter_of_the_exact_flow_is_worse_too(tmp_path):
+    made = Made(tmp_path)
+
+    def reason(position: float, velocity: float) -> str:
+        floor = Scores(position, velocity, position, velocity, None, ())
+        without = Scores(0.0, 0.0, 0.0, 0.0, None, ())
+        return rows(made.outcome._replace(who=WHO), made.case, without, floor)[0].note
+
+    assert reason(1.0, 1.0) == "worse than no filter: measurement noise"
+    assert reason(0.0, 1.0) == "worse than no filter: measurement noise"
+    assert reason(0.0, 0.0) == "worse than no filter: the model or its process noise"
+
+
 def test_members_without_any_measurement_are_counted(tmp_path):
     made = Made(tmp_path)
     measured = made.result.measured.clone()
