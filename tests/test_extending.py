@@ -97,6 +97,20 @@ def test_its_dynamics_are_loaded_in_python(trained):
 
 
 @pytest.mark.usefixtures("installed")
+def test_the_map_is_trained_and_has_the_step_of_its_data(tmp_path, capsys):
+    run = f"run={tmp_path / 'map'}"
+    small = [*SMALL, "plugins=none", "optimizer=adamw"]
+    assert call("ahnn.train", "system=mass_spring", "model=linear_map", run, *small) == 0
+    assert "linear on mass_spring: linear map" in capsys.readouterr().out
+    dynamics, dt = ahnn.load(tmp_path / "map").dynamics, 0.01
+    x = torch.tensor([[0.5, -0.2]], dtype=torch.float64)
+    assert dynamics.own_step == pytest.approx(dt)
+    close(dynamics(x, dt) - x, dynamics.matrix(x), 1e-12)
+    with pytest.raises(UserError, match=r"expected the step used in training, 0\.01"):
+        dynamics(x, 2 * dt)
+
+
+@pytest.mark.usefixtures("installed")
 def test_help_lists_its_options_and_a_name_beside_them_is_corrected(capsys):
     assert call("ahnn.train", "--help") == 0
     out = capsys.readouterr().out
@@ -124,12 +138,12 @@ def test_without_the_package_the_missing_name_is_said(trained, monkeypatch, caps
 
 @pytest.mark.usefixtures("installed")
 def test_tables_know_what_is_declared_and_keep_their_own():
-    assert {"newton"} == KINDS.keys() - KINDS.own.keys()
+    assert {"newton", "linear_map"} == KINDS.keys() - KINDS.own.keys()
     assert {"ralston"} == INTEGRATORS.keys() - INTEGRATORS.own.keys()
     assert {"endpoint"} == OBJECTIVES.keys() - OBJECTIVES.own.keys()
-    assert len(KINDS) == len(KINDS.own) + 1
+    assert len(KINDS) == len(KINDS.own) + 2
     ours = Table("ahnn.dynamics", {"newton": 1})
-    assert (ours["newton"], list(ours)) == (1, ["newton"])
+    assert (ours["newton"], {*ours}) == (1, {"newton", "linear_map"})
     assert "no such" not in ours
 
 

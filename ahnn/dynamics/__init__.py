@@ -15,9 +15,11 @@ from ahnn.dynamics.henon_net import HenonNet
 from ahnn.dynamics.lagrangian import LagrangianDynamics
 from ahnn.dynamics.next_state import NextState
 from ahnn.dynamics.stacked_dynamics import StackedDynamics
+from ahnn.dynamics.step_map import StepMap
 from ahnn.dynamics.sympnet import SympNet
 from ahnn.errors import UserError
 from ahnn.extensions import Table
+from ahnn.statistics import Statistics
 
 KINDS: Table[type[Dynamics]] = Table(
     "ahnn.dynamics",
@@ -65,6 +67,8 @@ __all__ = [
     "NeuralDynamics",
     "NextState",
     "StackedDynamics",
+    "Statistics",
+    "StepMap",
     "has_field",
     "make_dynamics",
 ]
