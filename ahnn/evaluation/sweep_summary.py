@@ -6,6 +6,8 @@ from pathlib import Path
 
 import yaml
 from rich.box import SIMPLE_HEAD
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
@@ -36,7 +38,7 @@ def sweep_table(folder: Path, jobs: list[Path]) -> Table:
     table = Table(title=Text(title, "bold"), title_justify="left", box=SIMPLE_HEAD)
     table.pad_edge, table.padding = False, (0, 1, 0, 0)
     table.add_column("job", no_wrap=True)
-    table.add_column("overrides", overflow="fold")
+    table.add_column("overrides")
     found = [_results(job) for job in jobs]
     spaces = [results.space for results in found if results is not None]
     heads = [quantity(spaces[0], name)[0] for name in QUANTITIES] if spaces else QUANTITIES
@@ -47,11 +49,44 @@ def sweep_table(folder: Path, jobs: list[Path]) -> Table:
         missing = ["-"] * (len(TRAINING) + len(QUANTITIES) - 1)
         pruned = values is None and (job / PRUNED).exists()
         cells = [*missing, "pruned" if pruned else "no scores"] if values is None else values
-        own = Text(" ".join(text for text in texts if text not in common))
+        own = OverrideCell([rounded(text) for text in texts if text not in common])
         table.add_row(job.name, own, *cells, style="red" if values is None and not pruned else None)
     table.caption = "W: steps in the loss; losses for different W are not comparable. Scores: true start."
     table.caption_justify = "left"
     return table
+
+
+class OverrideCell:
+    """Overrides in a table cell, broken between overrides, and after `=` where one is wider than the cell."""
+
+    def __init__(self, texts: list[str]) -> None:
+        self.texts = texts
+
+    def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
+        """Return the widths of the widest override and of all in one line."""
+        del console
+        each = [len(text) for text in self.texts] or [0]
+        return Measurement(max(each), sum(each) + len(each) - 1).with_maximum(options.max_width)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Yield the text."""
+        del console
+        wide = any(len(text) > options.max_width for text in self.texts)
+        cut = [
+            text.replace("=", "=\n  ", 1) if len(text) > options.max_width else text for text in self.texts
+        ]
+        yield Text(("\n" if wide else " ").join(cut), overflow="fold")
+
+
+def rounded(override: str) -> str:
+    """Return an override with its value, if it is a fraction, rounded to 4 digits."""
+    key, _, value = override.partition("=")
+    try:
+        short = f"{float(value):.4g}"
+    except ValueError:
+        return override
+    whole = value.lstrip("+-").isdigit()
+    return override if whole or len(short) >= len(value) else f"{key}={short}"
 
 
 def _results(job: Path) -> Results | None:

@@ -9,7 +9,7 @@ from cases import MODEL, make_results, scores
 
 from ahnn.evaluation import Findings, Row, Who
 from ahnn.evaluation.sinks import MetricsSink
-from ahnn.evaluation.sweep_summary import PRUNED, sweep_table
+from ahnn.evaluation.sweep_summary import PRUNED, rounded, sweep_table
 from ahnn.evaluation.terminal import show
 
 
@@ -49,6 +49,40 @@ def test_each_job_has_its_row(sweep, capsys):
     assert jobs[1] == ["1", "window=1", "1", "-", "0.500", "inf", "inf", "-"]
     for line in jobs[2:]:
         assert line[1:] == [f"window={line[0]}", *["-"] * 5, "no", "scores"]
+
+
+def test_numbers_are_rounded_and_lines_break_between_overrides(sweep, capsys):
+    folder, jobs = sweep
+    drawn = ["model.network.width=16", "optimizer.lr=0.026460534159839705", "seed=1234567"]
+    drawn += ["scheduler.given.infimum_lr=4.1256046816885525e-06"]
+    for job in jobs:
+        (job / ".hydra" / "overrides.yaml").write_text(
+            "".join(f"- {text}\n" for text in [*drawn, f"w={job.name}"])
+        )
+    (jobs[3] / ".hydra" / "overrides.yaml").write_text("- w=3\n")
+    show(sweep_table(folder, jobs))
+    out = capsys.readouterr().out
+    assert max(map(len, out.splitlines())) <= 80
+    words = out.split()
+    for text in ("optimizer.lr=0.02646", "scheduler.given.infimum_lr=", "4.126e-06", "seed=1234567"):
+        assert words.count(text) == 3
+    assert "16" in words or "model.network.width=16" in words
+    assert not any(word.startswith("0264") for word in words)
+
+
+@pytest.mark.parametrize(
+    ("override", "shown"),
+    [
+        ("a=0.026460534159839705", "a=0.02646"),
+        ("a=-4.1256046816885525e-06", "a=-4.126e-06"),
+        ("a=123456789", "a=123456789"),
+        ("a=0.1", "a=0.1"),
+        ("a=[0.123456]", "a=[0.123456]"),
+        ("model=hnn", "model=hnn"),
+    ],
+)
+def test_fractions_have_four_digits(override, shown):
+    assert rounded(override) == shown
 
 
 def test_a_pruned_job_is_no_failure(sweep, capsys):
