@@ -54,8 +54,23 @@ class Reference(NamedTuple):
     def __str__(self) -> str:
         names = [name or "?" for name in self[:3]] if any(self[:3]) else []
         if self.epoch is not None:
-            names.append(f"from {spelled(self.epoch, utc=self.clock == 'UTC')}")
+            names.append(f"from {self.spelled()}")
         return ", ".join(names)
+
+    def described(self) -> str:
+        """Return the reference for readers, with the names that are not stated; "" if nothing is stated."""
+        if not any(self[:3]) and self.epoch is None:
+            return ""
+        missing = [name for name, own in zip(("frame", "centre"), self[:2], strict=True) if not own]
+        parts = [name for name in self[:3] if name]
+        parts += [f"{' and '.join(missing)} not stated (frame=)"] if missing else []
+        if self.epoch is not None:
+            parts.append(f"time zero {self.spelled()}")
+        return ", ".join(parts)
+
+    def spelled(self, later: int = 0) -> str:
+        """Return the epoch, or a moment `later` picoseconds after it, in its time scale; "" without epoch."""
+        return "" if self.epoch is None else spelled(self.epoch + later, utc=self.clock == "UTC")
 
     def on(self, clock: str) -> Reference:
         """Convert the epoch to another time scale; raises UserError for an unknown offset."""
@@ -111,10 +126,16 @@ class Reference(NamedTuple):
             raise UserError(message) from error
 
     def centred(self, length: str) -> Reference:
+        """Set the centre assumed if none is stated, and report it."""
+        found = self.assumed(length)
+        if found != self:
+            log.info("center: not stated; %s, the centre of %s, is assumed", found.center, self.frame)
+        return found
+
+    def assumed(self, length: str) -> Reference:
         """Set the Earth as the centre of `EARTHLY` frames with positions in km or m, if none is stated."""
         if self.center or self.frame not in EARTHLY or length not in ("km", "m"):
             return self
-        log.info("center: not stated; EARTH, the centre of %s, is assumed", self.frame)
         return self._replace(center=BODY)
 
     def turn(self, ours: Reference, who: str) -> str | None:

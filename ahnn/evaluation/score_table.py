@@ -147,15 +147,24 @@ def _explanations(results: Results) -> Iterator[str]:
     floors = dict.fromkeys(title(row.who, results.label) for row in results.rows if row.who.floor)
     if floors:
         yield from _wrapped(f"floor: score of perfect knowledge ({'; '.join(floors)}).")
-    if fitted := [row for row in results.rows if row.who.start == "fitted"]:
-        excluded = fitted[0].extra.get("outliers")
-        without = f"; {in_percent(excluded)} outliers excluded" if excluded else ""
-        yield from _wrapped(
-            "fitted start: initial state that best fits the measurements; errors are differences from the "
-            f"measurements and include their noise{without}."
-        )
+    if about := about_fitted(results.rows):
+        yield from _wrapped(about)
     if any(row.who.span == "settled" for row in results.rows):
         yield from _wrapped("settled: scores after the first update.")
+
+
+def about_fitted(rows: Iterable[Row]) -> str:
+    """Return what the scores from fitted starts mean, in every table and figure of them; "" without any."""
+    fitted = [row for row in rows if row.who.start == "fitted"]
+    if not fitted:
+        return ""
+    fractions = {row.extra.get("outliers") for row in fitted}
+    excluded = fractions.pop() if len(fractions) == 1 else None
+    without = f"; {in_percent(excluded)} outliers excluded" if excluded else ""
+    return (
+        "fitted start: initial state that best fits the measurements; errors are differences from the "
+        f"measurements and include their noise{without}."
+    )
 
 
 def _details(row: Row, results: Results) -> str:

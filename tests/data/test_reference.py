@@ -42,6 +42,19 @@ def test_a_text_says_what_a_reference_is_and_the_other_way_round(text, reference
     assert Reference.of(str(reference)) == reference
 
 
+@pytest.mark.parametrize(
+    ("reference", "said"),
+    [
+        (WHOLE, "EME2000, EARTH, UTC, time zero 2024-03-01T12:00:00.000"),
+        (Reference("GCRF", clock="TAI"), "GCRF, TAI, centre not stated (frame=)"),
+        (Reference(clock="UTC"), "UTC, frame and centre not stated (frame=)"),
+        (Reference(), ""),
+    ],
+)
+def test_a_reader_learns_what_a_reference_does_not_state(reference, said):
+    assert reference.described() == said
+
+
 def test_an_epoch_is_of_the_clock_that_is_named_or_of_utc():
     assert Reference.of("from 2024-03-01T12:00:00") == Reference(clock="UTC", epoch=NOON)
     tai = instant("2024-03-01T12:00:00", utc=False)

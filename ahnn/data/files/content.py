@@ -95,11 +95,16 @@ def since_first(contents: list[Content]) -> list[Content]:
 
 
 def counted(content: Content, first: int) -> Content:
-    """Shift content to times since an epoch, unless its times have no epoch."""
+    """Shift content to times since an epoch, unless its times have no epoch.
+
+    The epoch appended to the frame names its time scale, unless the frame does.
+    """
     if content.epoch is None:
         return content
     tracks = shifted(content, first)
     epoch = f"from {epochs.spelled(first, utc=content.clock == 'UTC')}"
+    named = len(content.frame.split(", ")) > 2
+    epoch = epoch if named or not content.clock else f"{epoch} {content.clock}"
     frame = f"{content.frame}, {epoch}" if content.frame else epoch
     return content._replace(tracks=tracks, epoch=first, frame=frame)
 

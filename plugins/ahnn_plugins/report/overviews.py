@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from ahnn.evaluation.case import Who
+from ahnn.evaluation.score_table import about_fitted
 from ahnn.evaluation.titles import MODEL, title
 from ahnn.labels import headed
 from ahnn_plugins.report.collection import Entry
@@ -39,6 +40,8 @@ def score_table(board: Board) -> Grid:
         "States: mean over trajectories of the rms vector norm; mean ± standard deviation over runs. Floor: "
         "score of the exact equations. Settled: after the first update."
     )
+    if about := about_fitted(row for entry in board.entries for row in entry.results.rows):
+        caption = f"{caption} {about[0].upper()}{about[1:]}"
     return Grid(f"scores_{board.system}", "All scores.", caption, heads, tuple(lines))
 
 

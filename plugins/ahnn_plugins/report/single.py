@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ahnn.data.reference import Reference
 from ahnn.evaluation.titles import described
 from ahnn.labels import quantity
 from ahnn_plugins.report.collection import Collection, Entry
@@ -56,11 +57,12 @@ def sections(collection: Collection, grids: dict[str, list[Grid]], pictures: lis
 def _training(entry: Entry) -> Markup:
     training, space = entry.results.training, entry.results.space
     values = {key: number(training, key) for key in training}
+    frame = Reference.of(space.frame).assumed(space.units.position).described()
     facts = {
         "model": entry.model,
         "prior knowledge": entry.results.assumes or "not said",
         "system": entry.system,
-        "state": ", ".join(space.components) + (f" in {space.frame}" if space.frame else ""),
+        "state": ", ".join(space.components) + (f" in {frame}" if frame else ""),
         "units": f"{', '.join(quantity(space, q)[1] for q in QUANTITIES)}; time in {space.units.time}",
         **{_named(key): _shown(value, training[key]) for key, value in values.items()},
     }

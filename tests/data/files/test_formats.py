@@ -12,6 +12,7 @@ from made_files import ORBIT, csv_of, orbit
 
 from ahnn.data import Files
 from ahnn.data.files import Covariance, Ephemeris, instant, read_oem, write_oem
+from ahnn.data.reference import Reference
 from ahnn.errors import UserError
 
 
@@ -68,7 +69,8 @@ def test_epochs_are_times(tmp_path, clock):
     files = Files("mine", str(tmp_path / "a.csv"))
     leap = 0 if "TAI" in clock else 1
     assert files.read().times.tolist() == [[0.0, 15.5, 60.0 + leap]]
-    assert files.space.frame == "from 2016-12-31T23:59:30.000"
+    assert files.space.frame == f"from 2016-12-31T23:59:30.000 {'TAI' if leap == 0 else 'UTC'}"
+    assert Reference.of(files.space.frame).epoch == files.epoch
     assert files.space.units.time == "s"
 
 

@@ -68,6 +68,15 @@ def test_the_page_of_a_reproduction_is_whole_and_loads_nothing(tmp_path):
     assert {"tables/table1_mass_spring.tex", "tables/table2_molniya.tex"} <= {*names}
 
 
+def test_scores_of_measurements_and_the_frame_mean_in_a_report_what_they_mean_in_the_terminal(tmp_path):
+    rows = [Row(Who("model", "fitted"), scores(1.0), extra={"outliers": 0.0047})]
+    found = results(rows, space=ORBIT._replace(frame="EME2000, from 2026-03-05T00:00:00.000 UTC"))
+    _, page = report([write(tmp_path / "run", found)], tmp_path / "out")
+    said = " ".join(page.texts)
+    assert "errors are differences from the measurements and include their noise; 0.47 %" in said
+    assert "in EME2000, EARTH, UTC, time zero 2026-03-05T00:00:00.000" in said
+
+
 def evil_results(label=EVIL, **changes):
     rows = [
         Row(Who("model", "true"), scores(1.0), note=EVIL, extra={EVIL: EVIL}),

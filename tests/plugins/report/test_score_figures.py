@@ -41,6 +41,14 @@ def test_scores_stand_beside_the_floor_and_the_paper(springs):
     assert windows.ticks == ("W = 3", "W = 5")
 
 
+def test_a_figure_of_scores_from_fitted_starts_says_that_they_include_the_noise(tmp_path):
+    told = results(SPRING.space, "mine", 7)
+    rows = tuple(row._replace(who=row.who._replace(start="fitted")) for row in told.rows[:1])
+    write(tmp_path / "run", told._replace(rows=rows), None, None)
+    caption = drawn(tmp_path)["mass_spring_rmse_fitted"].caption
+    assert "differences from the measurements and include their noise." in caption
+
+
 def test_a_model_of_several_windows_has_a_dot_at_each(tmp_path):
     for window in (1, 4):
         told = results(SPRING.space, "mine", 7)

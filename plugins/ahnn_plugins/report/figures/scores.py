@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple, get_args
 
 import torch
 
+from ahnn.evaluation.score_table import about_fitted
 from ahnn.evaluation.style import LOST
 from ahnn.evaluation.titles import estimator_title
 from ahnn_plugins.report.collection import Collection, Entry
@@ -66,7 +67,10 @@ def _of_start(
     if not panels:
         return None
     title = f"{system}: RMSE of the models, {start} start"
-    return _drawing(f"{file_name(system)}_rmse_{start}", title, SIDES if beside else "", panels)
+    rows = (row for runs in groups for run in runs for row in run.results.rows if row.who.start == start)
+    about = about_fitted(rows)
+    caption = f"{SIDES if beside else ''}{f'{about[0].upper()}{about[1:]} ' if about else ''}"
+    return _drawing(f"{file_name(system)}_rmse_{start}", title, caption, panels)
 
 
 def _beside(groups: Iterable[list[Entry]], starts: Sequence[str]) -> float:
