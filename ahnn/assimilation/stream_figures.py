@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ahnn.assimilation.assimilation_record import Array, AssimilationRecord
+from ahnn.data.reference import Reference
 from ahnn.estimation.consistency import band
 from ahnn.evaluation import style
 from ahnn.labels import headed
@@ -21,9 +22,24 @@ COLORS = (style.VERMILLION, style.BLUE, style.GREEN, style.PURPLE, style.ORANGE,
 NAMES = ("innovations", "consistency", "deviations")
 
 
-def figures_of(record: AssimilationRecord, space: Space, units: Mapping[str, str]) -> dict[str, Figure]:
-    """Draw the figures of a record and return them by name; `units` are those of the measured values."""
+def figures_of(
+    record: AssimilationRecord,
+    space: Space,
+    units: Mapping[str, str],
+    reference: Reference = Reference(),  # noqa: B008 - a tuple
+) -> dict[str, Figure]:
+    """Draw the figures of a record and return them by name.
+
+    Args:
+        record: estimates and innovations.
+        space: description of the state components.
+        units: units of the measured values by name.
+        reference: frame, centre, time scale and epoch of time zero, below the titles.
+    """
     drawn = innovations(record, space, units), consistency(record, space), deviations(record, space)
+    for figure in drawn:
+        top = figure.axes[0]
+        top.set_title(f"{top.get_title()}\n{reference.described()}".rstrip())
     return dict(zip(NAMES, drawn, strict=True))
 
 

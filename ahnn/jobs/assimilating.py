@@ -113,7 +113,7 @@ def _pictures(stream: Stream) -> None:
         units: dict[str, str] = {}
         for one in stream.filtering.sensors.values():
             units |= dict(zip(one.columns, one.measurement.units, strict=False))
-        for name, figure in figures_of(record, space, units).items():
+        for name, figure in figures_of(record, space, units, stream.reference).items():
             for suffix in FORMATS:
                 write_atomically(Path(options.figures) / f"{name}{suffix}", drawn(figure, suffix))
     if options.oem:

@@ -92,7 +92,7 @@ def predict(asked: PredictionRequest) -> None:
     if asked.output is not None:
         output.write(Path(asked.output), found, begin, space, [*remarks, *_unfinished(runs)])
     if asked.figure is not None:
-        output.draw(Path(asked.figure), found, space, title)
+        output.draw(Path(asked.figure), found, begin, space, title)
     show(summary(found, begin, space, title))
     for remark in remarks:
         log.warning("%s", remark)

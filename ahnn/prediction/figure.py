@@ -16,8 +16,15 @@ PLOTTED = 300
 """Number of sampling intervals in a plot if no times are given."""
 
 
-def prediction_figure(prediction: Prediction, space: Space, title: str) -> Figure:
-    """Plot the first predicted trajectory: positions, velocities, and novelty."""
+def prediction_figure(prediction: Prediction, space: Space, title: str, about: str = "") -> Figure:
+    """Plot the first predicted trajectory: positions, velocities, and novelty.
+
+    Args:
+        prediction: predicted states.
+        space: description of the state components.
+        title: title of the figure.
+        about: frame and first epoch, below the title; "" without.
+    """
     figure = style.canvas(8, 8)
     panels = figure.subplots(2 if prediction.novelty is None else 3, 1, sharex=True)
     time, n = prediction.times, space.dof
@@ -42,5 +49,6 @@ def prediction_figure(prediction: Prediction, space: Space, title: str) -> Figur
         axes.set_ylabel(f"{name} [{unit}]")
     style.label_time(panels[-1], style.Axis(time, space.units.time))
     panels[-1].set_xlabel(f"time after the start [{space.units.time}]")
-    panels[0].set_title(title if prediction.deviations is None else f"{title}, with {SIGMAS} sigma")
+    title = title if prediction.deviations is None else f"{title}, with {SIGMAS} sigma"
+    panels[0].set_title(f"{title}\n{about}".rstrip())
     return figure

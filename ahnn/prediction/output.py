@@ -12,6 +12,7 @@ from ahnn.data.starts import Starts
 from ahnn.errors import UserError
 from ahnn.files import write_atomically
 from ahnn.manifest import require_own
+from ahnn.prediction.beginning import beginning
 from ahnn.prediction.ephemeris_message import ephemerides
 from ahnn.prediction.prediction_table import as_csv, as_parquet, columns, described
 from ahnn.prediction.propagation import Prediction
@@ -83,9 +84,10 @@ def require_figure(path: Path) -> None:
     require_own([path], "figure")
 
 
-def draw(path: Path, prediction: Prediction, space: Space, title: str) -> None:
+def draw(path: Path, prediction: Prediction, starts: Starts, space: Space, title: str) -> None:
     """Draw and write the figure of a prediction."""
     from ahnn.evaluation.sinks.figure_files import drawn
     from ahnn.prediction.figure import prediction_figure
 
-    write_atomically(path, drawn(prediction_figure(prediction, space, title), path.suffix.lower()))
+    figure = prediction_figure(prediction, space, title, beginning(prediction, starts, space.units.time))
+    write_atomically(path, drawn(figure, path.suffix.lower()))

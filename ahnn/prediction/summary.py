@@ -5,6 +5,7 @@ from __future__ import annotations
 from ahnn.data.estimate_table import components_with_units
 from ahnn.data.starts import Starts
 from ahnn.numbers import in_percent
+from ahnn.prediction.beginning import beginning
 from ahnn.prediction.prediction_table import labels
 from ahnn.prediction.propagation import Prediction
 from ahnn.types import Space
@@ -16,7 +17,8 @@ def summary(prediction: Prediction, starts: Starts, space: Space, title: str) ->
     count, samples, _ = prediction.states.shape
     end = f"{float(prediction.times[-1]):g} {space.units.time}"
     whose = f", {starts.names[0]} of {count} trajectories" if count > 1 else ""
-    lines = [f"{title}: {samples:,} states over {end}{whose}", str(starts.reference)]
+    begins = beginning(prediction, starts, space.units.time)
+    lines = [f"{title}: {samples:,} states over {end}{whose}", begins]
     deviations = prediction.deviations
     lines.append(f"  {'':16s}{'last state':>16s}{'1 sigma':>12s}")
     for k, name in enumerate(labels(space)):

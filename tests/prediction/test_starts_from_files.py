@@ -255,6 +255,31 @@ def test_frames_of_the_earth_have_it_as_centre(caplog):
     assert Reference("GCRF").centred("au").center == ""
 
 
+def test_the_line_of_a_prediction_names_its_first_epoch_and_what_is_not_stated(capsys):
+    """Also in the figure; the times of an assimilation count from the time zero of its model."""
+    assert call("ahnn.predict", MOLNIYA, message(), *SHORT) == 0
+    assert "\nEME2000, EARTH, UTC, from 2024-03-01T12:00:00.000\n" in capsys.readouterr().out
+    numbers = [f"start={STATE.tolist()}", "epoch=2024-03-01T12:00:00", *SHORT]
+    assert call("ahnn.predict", MOLNIYA, *numbers) == 0
+    said = "\nUTC, frame and centre not stated (frame=), from 2024-03-01T12:00:00.000\n"
+    assert said in capsys.readouterr().out
+    run = framed(Path("run"), "EME2000, EARTH, UTC, from 2024-03-01T12:00:00.000")
+    Path("fixes.csv").write_text("t,x,y,z\n1200,0,-3145,-6173\n")
+    begun = [f"start={STATE.tolist()}", "start_sd=[1,0.001]", "time=1200", "measurements=fixes.csv"]
+    sensor = ["+sensors.fix.model=position", "+sensors.fix.sd=[1]"]
+    files = ["output=track.csv", "oem=track.oem", "figures=pictures"]
+    assert call("ahnn.assimilate", f"run={run}", *begun, *sensor, *files) == 0
+    capsys.readouterr()
+    for start in ("track.csv", "track.oem"):
+        assert call("ahnn.predict", f"run={run}", f"start={start}", *SHORT, "figure=ahead.svg") == 0
+        said = "EME2000, EARTH, UTC, from 2024-03-01T12:20:00.000"
+        zero = " (time zero 2024-03-01T12:00:00.000)" if start == "track.csv" else ""
+        assert f"\n{said}{zero}\n" in capsys.readouterr().out
+        assert f"{said}{zero}" in Path("ahead.svg").read_text()
+    drawn = Path("pictures/innovations.svg").read_text()
+    assert "EME2000, EARTH, UTC, time zero 2024-03-01T12:00:00.000" in drawn
+
+
 def test_references_say_what_they_are_of_and_clocks_are_turned():
     text = "EME2000, EARTH, UTC, from 2024-03-01T12:00:00.000"
     noon = Reference.of(text)
