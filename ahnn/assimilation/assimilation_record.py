@@ -108,7 +108,12 @@ def require_orbit(space: Space, reference: Reference) -> None:
 
 
 def write_ephemeris(
-    path: Path, record: AssimilationRecord, space: Space, name: str, reference: Reference
+    path: Path,
+    record: AssimilationRecord,
+    space: Space,
+    name: str,
+    reference: Reference,
+    identifier: str = "",
 ) -> None:
     """Write orbit estimates with covariances as an orbit ephemeris message.
 
@@ -118,6 +123,7 @@ def write_ephemeris(
         space: description of the state components.
         name: name of the object.
         reference: frame, centre, time scale and epoch of time zero.
+        identifier: identifier of the object; "": its name.
 
     Raises:
         UserError: see `require_orbit`.
@@ -129,4 +135,5 @@ def write_ephemeris(
     matrices = record.covariance * scale[:, None] * scale
     covariances = tuple(Covariance(float(t), matrix) for t, matrix in zip(record.time, matrices, strict=True))
     states = record.mean * scale
-    write_oem(path, [Ephemeris(name, name, center, frame, clock, epoch, record.time, states, covariances)])
+    about = identifier or name, name, center, frame, clock, epoch
+    write_oem(path, [Ephemeris(*about, record.time, states, covariances)])

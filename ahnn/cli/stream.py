@@ -248,9 +248,11 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
             names, belief, times = shard.starts(names, belief, times)
         filtering = Catalogue(process, sensors, belief, names, times=times, **limits)
         filtering.begun |= {} if asked.shard is None else {"shard": asked.shard}
-    name = asked.object or (found.names[0] if isinstance(asked.start, str) else "UNKNOWN")
     far = None if run.domain is None else run.novelty
-    return Stream(asked, run.space, filtering, clock, reference, name, control_names(run), None, line, far)
+    objects = {} if asked.objects is not None and of_one_state(asked.start) else found.objects()
+    if asked.object is not None:
+        objects = {next(iter(objects), asked.object): asked.object}
+    return Stream(asked, run.space, filtering, clock, reference, objects, control_names(run), None, line, far)
 
 
 def carrier(run: Run) -> Callable[[Tensor, Tensor, Tensor], Tensor]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -39,6 +39,7 @@ class LastEstimates(NamedTuple):
         means: (B, D) means.
         covariances: (B, D, D) covariances.
         reference: reference of positions and times.
+        objects: names of the objects by their identifiers, as far as known.
     """
 
     names: tuple[str, ...]
@@ -46,6 +47,7 @@ class LastEstimates(NamedTuple):
     means: Tensor
     covariances: Tensor
     reference: Reference
+    objects: dict[str, str] = {}  # noqa: RUF012 - never written to
 
 
 def is_track(path: Path) -> bool:
@@ -111,7 +113,8 @@ def last_estimates(path: Path, space: Space) -> LastEstimates:
         covariances[:, i, j] = covariances[:, j, i] = triangles[:, k]
     objects = () if list(rows) == [""] else tuple(rows)
     whole = covariances * scales.outer(scales)
-    return LastEstimates(objects, times[:, 0], scales * means, whole, Reference.of(said.frame))
+    about = Reference.of(said.frame), said.objects
+    return LastEstimates(objects, times[:, 0], scales * means, whole, *about)
 
 
 def track_names(space: Space) -> tuple[str, ...]:
@@ -147,9 +150,17 @@ def momentum_units(space: Space) -> dict[str, str]:
     return {"time": units.time, **dict(zip(names, parts, strict=True))}
 
 
-def described(space: Space, reference: Reference) -> sidecar.Sidecar:
-    """Return the sidecar of an output, with which its estimates can be read as states."""
+def described(
+    space: Space, reference: Reference, objects: Mapping[str, str] | None = None
+) -> sidecar.Sidecar:
+    """Return the sidecar of an output, with which its estimates can be read as states.
+
+    Args:
+        space: description of the state components.
+        reference: reference of positions and times.
+        objects: names of the objects by their identifiers; None: unknown.
+    """
     names, dof = list(track_names(space)), space.dof
     rates = "velocities" if space.mechanical else "momenta"
     columns = {"time": "time", "positions": names[:dof], rates: names[dof:]}
-    return sidecar.Sidecar(units_of(space), columns, str(reference))
+    return sidecar.Sidecar(units_of(space), columns, str(reference), objects=dict(objects or {}))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 import yaml
@@ -24,6 +24,7 @@ from ahnn.data.reference import Reference
 from ahnn.data.start_covariances import covariances_of
 from ahnn.data.start_deviations import KINDS, deviations_of
 from ahnn.data.start_frames import matrices_to
+from ahnn.data.start_states import Starts, numbered
 from ahnn.deviations import require_finite, state_deviations
 from ahnn.errors import UserError
 from ahnn.labels import require_velocities
@@ -35,27 +36,6 @@ log = logging.getLogger("ahnn")
 PLAIN = (".yaml", ".yml", ".json")
 RATES = ("position", "velocity")
 KEYS = {"mean", "sd", "covariance", "frame", "epoch"}
-
-
-class Starts(NamedTuple):
-    """Initial states of predictions or assimilations.
-
-    Attributes:
-        names: names of the trajectories.
-        states: (B, D) states in the units of the space.
-        times: (B,) times of the states, in its unit of time.
-        reference: reference of positions and times, if specified by the file.
-        covariances: (B, D, D) covariances, or None if unknown.
-        since: times (B,) and states (B, D) to which the covariances belong, if they are earlier ones; None if
-            the covariances belong to `states`.
-    """
-
-    names: tuple[str, ...]
-    states: Tensor
-    times: Tensor
-    reference: Reference = Reference()
-    covariances: Tensor | None = None
-    since: tuple[Tensor, Tensor] | None = None
 
 
 def starts(
@@ -199,9 +179,10 @@ def of_plain(path: Path, space: Space) -> Starts:
 def of_track(path: Path, space: Space) -> Starts:
     """Read the last estimate of each object in an assimilation's output; raises UserError."""
     found = last_estimates(path, space)
-    names = found.names or numbered(1)
+    names = found.names or (tuple(found.objects) if len(found.objects) == 1 else numbered(1))
     require_finite(found.means)
-    return Starts(names, found.means, found.times, found.reference, found.covariances)
+    titles = tuple(found.objects.get(name, "") for name in names)
+    return Starts(names, found.means, found.times, found.reference, found.covariances, titles=titles)
 
 
 def of_files(path: Path, space: Space, *, last: bool, weighed: bool) -> Starts:
@@ -223,7 +204,7 @@ def of_files(path: Path, space: Space, *, last: bool, weighed: bool) -> Starts:
     chosen, moments = states[rows, columns], times[rows, columns]
     require_finite(chosen)
     names = files.names if all(files.names) else numbered(len(states))
-    found = Starts(names, chosen, moments, reference)
+    found = Starts(names, chosen, moments, reference, titles=files.titles)
     own = files.trajectories.times[rows, columns]
     if weighed and (sds := deviations_of(path, kind, own, weighed=True)) is not None:
         scale = factors if files.momenta else factors * space.scales
@@ -284,8 +265,3 @@ def factor(theirs: str, ours: str, path: Path) -> float:
     except ValueError as error:
         message = f"start {path}: expected values in {ours} or in a compatible unit; received {theirs}"
         raise UserError(message) from error
-
-
-def numbered(count: int) -> tuple[str, ...]:
-    """Return names numbered from 1."""
-    return tuple(str(k + 1) for k in range(count))

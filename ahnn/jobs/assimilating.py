@@ -27,6 +27,8 @@ from ahnn.uncertainty import BEYOND
 
 log = logging.getLogger("ahnn")
 
+UNKNOWN = "UNKNOWN"
+"""Name and identifier of an object without any, in messages."""
 EVERY = 1000
 """Number of lines between saved states."""
 
@@ -47,7 +49,7 @@ def assimilate(stream: Stream) -> None:
     source = opened(options.measurements, state) if followed is None else BytesIO(followed.content)
     with closing(Lines(source)) as lines:
         kind = options.format or ("json" if Path(options.output).suffix in (".json", ".jsonl") else "csv")
-        beside = described(space, stream.reference)
+        beside = described(space, stream.reference, stream.objects)
         more = {"modes": len(filtering.modes), "lag": options.lag is not None, "scales": space.scales}
         more["clock"] = stream.clock
         rows = Rows(track_names(space), filtering.sensors, kind, beside, **more)
@@ -117,4 +119,5 @@ def _pictures(stream: Stream) -> None:
             for suffix in FORMATS:
                 write_atomically(Path(options.figures) / f"{name}{suffix}", drawn(figure, suffix))
     if options.oem:
-        write_ephemeris(Path(options.oem), record, space, stream.name, stream.reference)
+        ((one, name),) = (stream.objects or {UNKNOWN: UNKNOWN}).items()
+        write_ephemeris(Path(options.oem), record, space, name, stream.reference, one)

@@ -92,7 +92,8 @@ def follow_objects(stream: Stream, catalogue: Catalogue, *, judged: bool = True)
 def rows_of(stream: Stream, catalogue: Catalogue) -> CatalogueRows:
     """Return the formatter of a stream's estimates."""
     space, kind = stream.space, _kind(stream.asked)
-    table = described(space, stream.reference)
+    named = {name: title for name, title in stream.objects.items() if title != name}
+    table = described(space, stream.reference, named)
     beside = table._replace(columns={**table.columns, "id": OBJECT})
     names, clock = track_names(space), stream.clock
     return CatalogueRows(names, catalogue.sensors, kind, beside, scales=space.scales, clock=clock)
@@ -121,9 +122,9 @@ def conclude(stream: Stream, found: CatalogueOutcome) -> None:
 def _last(stream: Stream, catalogue: Catalogue) -> Starts:
     """Return the final states of the objects, as starts for predictions."""
     times, beliefs = catalogue.beliefs()
-    return Starts(
-        tuple(catalogue.names), beliefs.mean, torch.from_numpy(times), stream.reference, beliefs.covariance
-    )
+    names, moments = tuple(catalogue.names), torch.from_numpy(times)
+    titles = tuple(stream.objects.get(name, "") for name in names)
+    return Starts(names, beliefs.mean, moments, stream.reference, beliefs.covariance, titles=titles)
 
 
 def _lines(path: str, state: Path | None) -> Lines | ParquetRows:

@@ -70,7 +70,7 @@ class Stream(NamedTuple):
         filtering: filter of one object, or filters of many.
         clock: interpretation of times.
         reference: reference of the estimates.
-        name: name of the tracked object.
+        objects: names of the tracked objects by their identifiers, as far as known.
         controls: names of the model's controls.
         followed: measurements of an orbit determination, used instead of lines.
         fitted: number of the last line to which the start was fitted.
@@ -82,7 +82,7 @@ class Stream(NamedTuple):
     filtering: Assimilation | Catalogue
     clock: StreamClock
     reference: Reference
-    name: str
+    objects: dict[str, str]
     controls: tuple[str, ...] = ()
     followed: FollowedMeasurements | None = None
     fitted: int = 0

@@ -20,7 +20,7 @@ from ahnn.assimilation.line_parser import Layout
 from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.data.estimate_table import track_names
-from ahnn.data.starts import Starts
+from ahnn.data.start_states import Starts, numbered
 from ahnn.dynamics import has_field
 from ahnn.dynamics.variations import jacobians_of_steps
 from ahnn.errors import TrainingError, UserError
@@ -121,7 +121,7 @@ def fitted_start(
         "start: fitted to the first %d measurements, up to line %d (%s): %s; the filter continues after them",
         *(len(lines), lines[-1][0], told, said(last[0], covariance, run.space)),
     )
-    start = Starts(("UNKNOWN",), last, segment.times[:, -1], covariances=covariance[None])
+    start = Starts(numbered(1), last, segment.times[:, -1], covariances=covariance[None])
     return FittedStart(start, lines[-1][0])
 
 

@@ -95,9 +95,10 @@ def orbit_stream(asked: AssimilationRequest, orbit: OrbitFollowing) -> Stream:
         gap=asked.gap,
     )
     reference = Reference("GCRF", "EARTH", "UTC", data.epoch)
-    name = asked.object or data.object or "SATELLITE"
+    name = data.object or asked.object or "SATELLITE"
+    objects = {name: asked.object or name}
     clock = StreamClock("s", data.epoch, "UTC")
-    return Stream(asked, SPACE, filtering, clock, reference, name, followed=followed)
+    return Stream(asked, SPACE, filtering, clock, reference, objects, followed=followed)
 
 
 def flow_of(problem: OrbitProblem) -> SatelliteFlow:

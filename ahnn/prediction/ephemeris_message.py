@@ -63,8 +63,8 @@ def ephemerides(prediction: Prediction, starts: Starts, space: Space) -> list[Ep
         since = times - times[0]
         segments.append(
             Ephemeris(
-                object_id="".join(sign if sign in PLAIN else "_" for sign in name),
-                object_name="",
+                object_id=_plain(name),
+                object_name=_plain(starts.titles[b] if starts.titles else ""),
                 center=center,
                 frame=frame,
                 time_system=clock,
@@ -75,3 +75,8 @@ def ephemerides(prediction: Prediction, starts: Starts, space: Space) -> list[Ep
             )
         )
     return segments
+
+
+def _plain(name: str) -> str:
+    """Return a name with `_` in place of characters that are not allowed in a message."""
+    return "".join(sign if sign in PLAIN else "_" for sign in name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from itertools import compress
 
 import torch
 
@@ -56,9 +57,14 @@ def finite_prediction(prediction: Prediction, starts: Starts, unit: str) -> tupl
             "%d more of %d trajectories are left out for the same reason", len(lost) - NAMED, len(wrong)
         )
     rest = [None if part is None else part[sound] for part in prediction[1:]]
-    names = tuple(name for name, is_sound in zip(starts.names, sound.tolist(), strict=True) if is_sound)
+    names, titles = (tuple(compress(part, sound.tolist())) for part in (starts.names, starts.titles))
     known = None if starts.covariances is None else starts.covariances[sound]
     kept = starts._replace(
-        names=names, states=starts.states[sound], times=starts.times[sound], covariances=known, since=None
+        names=names,
+        states=starts.states[sound],
+        times=starts.times[sound],
+        covariances=known,
+        since=None,
+        titles=titles,
     )
     return Prediction(prediction.times, *rest), kept  # pyright: ignore[reportArgumentType]

@@ -56,7 +56,8 @@ def described(starts: Starts, space: Space) -> Sidecar:
     time = "t" if reference.epoch is None else "epoch"
     columns = {"time": time, "id": "id", "positions": names, **rates}
     units = {} if reference.epoch is None else {"epoch": reference.clock or "UTC"}
-    return Sidecar(units, columns, str(reference._replace(epoch=None)))
+    named = {name: title for name, title in starts.objects().items() if title != name}
+    return Sidecar(units, columns, str(reference._replace(epoch=None)), objects=named)
 
 
 def labels(space: Space) -> list[str]:

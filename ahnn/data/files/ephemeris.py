@@ -269,7 +269,8 @@ def contents(
     found = []
     for block in blocks:
         one = ephemeris(block, note)
-        track = Track(one.object_id, block.place.file, one.rows, one.times, one.states)
+        values, title = (one.rows, one.times, one.states), one.object_name
+        track = Track(one.object_id, block.place.file, *values, title=title)
         of_date = f" of {one.frame_epoch}" if one.frame_epoch else ""
         frame = f"{one.frame}{of_date}, {one.center}, {one.time_system}"
         found.append(of_orbits([ordered(track, "EPOCH", note)], frame, one.start, weighed=weighed))

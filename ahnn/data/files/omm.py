@@ -160,8 +160,9 @@ def _orbit(one: FieldMessage, model: Any, note: Note) -> MeanOrbit:
     known = (*SAID, *ELEMENTS, *UNUSED, "EPOCH", "OBJECT_NAME", *PUBLISHED)
     if other := [name for name in one.unknown(known) if not name.startswith(("C", "COV_"))]:
         note(Remark(one.place, f"not OMM keywords, ignored: {', '.join(other)}", "", "warning"))
-    name = one.values.get("NORAD_CAT_ID") or one.values.get("OBJECT_NAME") or one.text("OBJECT_ID")
-    return MeanOrbit(one.place, name, _satellite(values, start, model), start)
+    title = one.values.get("OBJECT_NAME", "")
+    name = one.values.get("NORAD_CAT_ID") or title or one.text("OBJECT_ID")
+    return MeanOrbit(one.place, name, _satellite(values, start, model), start, title)
 
 
 def _unit_of(key: str) -> str:

@@ -31,6 +31,7 @@ class Track(NamedTuple):
         times: (T,) times.
         values: (T, C) values, NaN where missing.
         controls: (T, m) controls, each valid from its sample; None without controls.
+        title: name of the object besides its identifier `name`; "" if there is none.
     """
 
     name: str
@@ -39,12 +40,13 @@ class Track(NamedTuple):
     times: Array
     values: Array
     controls: Array | None = None
+    title: str = ""
 
     def part(self, chosen: NDArray[Any] | slice) -> Track:
         """Return selected samples."""
         controls = None if self.controls is None else self.controls[chosen]
         parts = self.rows[chosen], self.times[chosen], self.values[chosen], controls
-        return Track(self.name, self.file, *parts)
+        return Track(self.name, self.file, *parts, self.title)
 
 
 def by_id(ids: Sequence[str], track: Track) -> list[Track]:

@@ -30,12 +30,14 @@ class MeanOrbit(NamedTuple):
         name: name of the satellite.
         satellite: `Satrec` of the package sgp4.
         epoch: epoch in picoseconds (`epochs.instant`).
+        title: name of the satellite besides its identifier `name`; "" if there is none.
     """
 
     place: Place
     name: str
     satellite: Any
     epoch: int
+    title: str = ""
 
 
 def sgp4_content(
@@ -105,4 +107,5 @@ def propagated(model: Any, one: MeanOrbit, times: NDArray[np.float64]) -> Track:
             "elements that SGP4 can propagate", f"after {times[k]:g} s: {reason}", "Shorten system.duration"
         )
     rows = np.full(len(times), one.place.row, dtype=np.int64)
-    return Track(one.name, one.place.file, rows, times, np.concatenate((positions, velocities), axis=1))
+    states = np.concatenate((positions, velocities), axis=1)
+    return Track(one.name, one.place.file, rows, times, states, title=one.title)

@@ -16,7 +16,7 @@ from ahnn.files import write_atomically
 from ahnn.manifest import require_own
 
 SUFFIXES = (".yaml", ".yml")
-KEYS = ("units", "columns", "frame", "controls")
+KEYS = ("units", "columns", "frame", "controls", "objects")
 OTHERWISE = "If it is not the sidecar of the data file of the same name, rename one of them"
 """Remedy for a file that describes something else."""
 WIDTH = 110
@@ -34,12 +34,14 @@ class Sidecar(NamedTuple):
         columns: column names by role.
         frame: reference frame of the positions.
         controls: behaviour between samples, one of `BETWEEN`.
+        objects: names of satellites by their identifiers, such as {2026-001A: MYGTO}.
     """
 
     units: dict[str, str] = {}  # noqa: RUF012 - never written to
     columns: dict[str, Any] = {}  # noqa: RUF012 - never written to
     frame: str = ""
     controls: str = BETWEEN[0]
+    objects: dict[str, str] = {}  # noqa: RUF012 - never written to
 
 
 def beside(path: Path) -> Path:
@@ -66,9 +68,11 @@ def parse(text: str, file: str) -> Sidecar:
             Place(file).refuse(f"{key}: {'a name' if key == 'frame' else 'names with values'}", repr(value))
         if key == "controls" and value not in BETWEEN:
             Place(file).refuse(f"controls: {' or '.join(BETWEEN)}", repr(value))
-    units = {str(name): str(value) for name, value in given.get("units", {}).items()}
-    rest: dict[str, Any] = {key: value for key, value in given.items() if key != "units"}
-    return Sidecar(units, **rest)
+    plain = {
+        key: {str(name): str(value) for name, value in given.get(key, {}).items()}
+        for key in ("units", "objects")
+    }
+    return Sidecar(**{**given, **plain})
 
 
 def with_units(header: Header, sidecar: Sidecar, place: Place) -> Header:
@@ -94,7 +98,7 @@ def written(path: Path, said: Sidecar, remarks: Iterable[str] = ()) -> bytes:
     for remark in remarks:
         plain = "".join(sign if sign.isprintable() or sign.isspace() else "?" for sign in remark)
         about += "".join(f"# {line}\n" for line in textwrap.wrap(plain, WIDTH))
-    usual = {"controls": BETWEEN[0]}.items()
+    usual = {"controls": BETWEEN[0], "objects": {}}.items()
     plain = {key: value for key, value in said._asdict().items() if (key, value) not in usual}
     return f"{about}{yaml.safe_dump(plain, sort_keys=False)}".encode()
 

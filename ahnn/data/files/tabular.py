@@ -74,6 +74,7 @@ def of_sheet(
     name = header.names[found.time]
     whole = Track("", file, sheet.rows, times * by.time, values, controls_of(sheet, found, note))
     tracks = tuple(ordered(track, name, note) for track in trajectories(sheet, found.id, whole, note))
+    tracks = tuple(entitled(track, sidecar.objects, alone=len(tracks) == 1) for track in tracks)
     positions, rates = (tuple(header.names[i] for i in columns) for columns in (found.positions, found.rates))
     momenta, head, frame = found.kind == "momenta", place.row, canonical(sidecar.frame)
     controls, linear = tuple(header.names[i] for i in found.controls), sidecar.controls == LINEAR
@@ -84,6 +85,17 @@ def of_sheet(
     )
     about = epoch, clock, name, head, columns, controls, linear
     return unwrapped(Content(positions, rates, momenta, by.units, frame, tracks, *about), note)
+
+
+def entitled(track: Track, objects: dict[str, str], *, alone: bool) -> Track:
+    """Return a track with the name that a sidecar gives its object.
+
+    It also identifies the object of the only track of a table without ids.
+    """
+    if alone and not track.name and len(objects) == 1:
+        ((name, title),) = objects.items()
+        return track._replace(name=name, title=title)
+    return track._replace(title=objects.get(track.name, ""))
 
 
 def controls_of(sheet: Sheet, found: Roles, note: Note) -> Array | None:

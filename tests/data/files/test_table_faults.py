@@ -97,7 +97,7 @@ def test_a_fault_is_named_with_its_place(tmp_path, fault):
         ("a: [", "data.yaml: expected YAML"),
         (
             "unit: {x: km}",
-            "expected keys units, columns, frame, controls; received 'unit'; did you mean 'units'?",
+            "expected keys units, columns, frame, controls, objects; received 'unit'; did you mean 'units'?",
         ),
         ("measurements: od.csv", "If it is not the sidecar of the data file of the same name, rename one of"),
         ("units: {z: km}", "expected a column 'z' (units)"),

@@ -1,0 +1,44 @@
+"""Initial states with names, times, reference and covariances, whatever their source."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from torch import Tensor
+
+from ahnn.data.reference import Reference
+
+
+class Starts(NamedTuple):
+    """Initial states of predictions or assimilations.
+
+    Attributes:
+        names: names of the trajectories; of satellites, their identifiers, such as 2009-012A.
+        states: (B, D) states in the units of the space.
+        times: (B,) times of the states, in its unit of time.
+        reference: reference of positions and times, if specified by the file.
+        covariances: (B, D, D) covariances, or None if unknown.
+        since: times (B,) and states (B, D) to which the covariances belong, if they are earlier ones; None if
+            the covariances belong to `states`.
+        titles: names of the objects besides their identifiers, "" where there is none; empty without any.
+    """
+
+    names: tuple[str, ...]
+    states: Tensor
+    times: Tensor
+    reference: Reference = Reference()
+    covariances: Tensor | None = None
+    since: tuple[Tensor, Tensor] | None = None
+    titles: tuple[str, ...] = ()
+
+    def objects(self) -> dict[str, str]:
+        """Return the name of each object by its identifier; empty if trajectories are only numbered."""
+        if self.names == numbered(len(self.names)) and not any(self.titles):
+            return {}
+        pairs = zip(self.names, self.titles or self.names, strict=True)
+        return {name: title or name for name, title in pairs}
+
+
+def numbered(count: int) -> tuple[str, ...]:
+    """Return names numbered from 1."""
+    return tuple(str(k + 1) for k in range(count))
