@@ -14,13 +14,14 @@ from torch import Tensor
 
 from ahnn.contents import require_regular
 from ahnn.data.files import sidecar
+from ahnn.data.files.columns import COVARIANCES
 from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.reference import Reference
 from ahnn.errors import UserError
 from ahnn.labels import momentum_unit, of_coordinates
 from ahnn.types import Space
 
-COVARIANCE, INNOVATION, DEVIATION = "cov_", "innovation_", "innovation_sd_"
+COVARIANCE, INNOVATION, DEVIATION = COVARIANCES, "innovation_", "innovation_sd_"
 FIRST = ("line", "time", "sensor", "outcome", "replayed", "nis", "dof")
 DATED = (*FIRST[:2], "epoch", *FIRST[2:])
 """First columns if time zero has an epoch."""

@@ -22,9 +22,9 @@ from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.files.source import StartFiles
 from ahnn.data.reference import Reference
 from ahnn.data.start_covariances import covariances_of
-from ahnn.data.start_deviations import KINDS, deviations_of
 from ahnn.data.start_frames import matrices_to
 from ahnn.data.start_states import Starts, numbered
+from ahnn.data.table_covariances import KINDS, table_covariances
 from ahnn.deviations import require_finite, state_deviations
 from ahnn.errors import UserError
 from ahnn.labels import require_velocities
@@ -206,9 +206,9 @@ def of_files(path: Path, space: Space, *, last: bool, weighed: bool) -> Starts:
     names = files.names if all(files.names) else numbered(len(states))
     found = Starts(names, chosen, moments, reference, titles=files.titles)
     own = files.trajectories.times[rows, columns]
-    if weighed and (sds := deviations_of(path, kind, own, weighed=True)) is not None:
+    if weighed and (matrices := table_covariances(path, kind, own, weighed=True)) is not None:
         scale = factors if files.momenta else factors * space.scales
-        return found._replace(covariances=(sds[:, order] * scale).square().diag_embed())
+        return found._replace(covariances=matrices[:, order][:, :, order] * scale.outer(scale))
     if not weighed or files.epoch is None or kind not in ("oem", "xml", "opm"):
         return found
     size = units.unit(space.units.time).size

@@ -115,7 +115,7 @@ def conclude(stream: Stream, found: CatalogueOutcome) -> None:
     if stream.asked.states:
         assert last.covariances is not None
         states = Prediction(last.times.new_zeros(1), last.states[:, None], last.covariances[:, None])
-        output.write(Path(stream.asked.states), states, last, stream.space)
+        output.write(Path(stream.asked.states), states, last, stream.space, correlated=True)
     tally.require_followed()
 
 

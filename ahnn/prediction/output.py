@@ -53,7 +53,13 @@ def require_other(path: Path, start: Path) -> None:
 
 
 def write(
-    path: Path, prediction: Prediction, starts: Starts, space: Space, remarks: Sequence[str] = ()
+    path: Path,
+    prediction: Prediction,
+    starts: Starts,
+    space: Space,
+    remarks: Sequence[str] = (),
+    *,
+    correlated: bool = False,
 ) -> None:
     """Write a prediction.
 
@@ -63,6 +69,7 @@ def write(
         starts: names, times and reference of the starts.
         space: description of the state components.
         remarks: remarks on its bands, written as comments into the message or the sidecar.
+        correlated: whether tables contain the covariances too, as messages do.
 
     Raises:
         UserError: see `require_output`; or Parquet without pyarrow.
@@ -71,7 +78,7 @@ def write(
     if suffix in MESSAGES:
         write_oem(path, ephemerides(prediction, starts, space), comments=remarks)
         return
-    found = columns(prediction, starts, space)
+    found = columns(prediction, starts, space, correlated=correlated)
     write_atomically(path, as_csv(found) if suffix == ".csv" else as_parquet(found))
     sidecar.write(path, described(starts, space), remarks)
 

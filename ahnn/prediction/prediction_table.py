@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from ahnn.data.files import epochs
+from ahnn.data.files.columns import COVARIANCES
 from ahnn.data.files.sidecar import Sidecar
+from ahnn.data.files.units import product
 from ahnn.data.starts import Starts
 from ahnn.errors import UserError
 from ahnn.labels import components, of_coordinates
@@ -18,7 +20,9 @@ from ahnn.types import Space
 from ahnn.uncertainty import BEYOND
 
 
-def columns(prediction: Prediction, starts: Starts, space: Space) -> dict[str, Any]:
+def columns(
+    prediction: Prediction, starts: Starts, space: Space, *, correlated: bool = False
+) -> dict[str, Any]:
     """Return the columns of all trajectories, concatenated.
 
     Momenta proportional to velocities are written as velocities, with the names of docs/data.md; `sd_` marks
@@ -28,6 +32,7 @@ def columns(prediction: Prediction, starts: Starts, space: Space) -> dict[str, A
         prediction: prediction to write.
         starts: names, times and reference of the starts.
         space: description of the state components.
+        correlated: whether to write covariances too, the lower triangle with the names of a track.
     """
     samples = prediction.states.shape[1]
     times = (starts.times.unsqueeze(1) + prediction.times).flatten()
@@ -42,6 +47,12 @@ def columns(prediction: Prediction, starts: Starts, space: Space) -> dict[str, A
         if values is not None:
             rows = values.flatten(0, 1).numpy() * factors
             found |= {f"{prefix}{name}": rows[:, k] for k, name in enumerate(names)}
+    if correlated and prediction.covariances is not None:
+        scaled = prediction.covariances.flatten(0, 1).numpy() * np.outer(factors, factors)
+        parts = [name.removesuffix("]").split(" [") for name in names]
+        for i, (a, unit) in enumerate(parts):
+            for j, (b, other) in enumerate(parts[: i + 1]):
+                found[f"{COVARIANCES}{a}_{b} [{product(unit, other)}]"] = scaled[:, i, j]
     if prediction.novelty is not None:
         found["novelty [1]"] = prediction.novelty.flatten().numpy()
         found["novel [1]"] = (prediction.novelty.flatten() > BEYOND).numpy().astype(np.int64)

@@ -255,57 +255,6 @@ def test_frames_of_the_earth_have_it_as_centre(caplog):
     assert Reference("GCRF").centred("au").center == ""
 
 
-def test_the_line_of_a_prediction_names_its_first_epoch_and_what_is_not_stated(capsys):
-    """Also in the figure; the times of an assimilation count from the time zero of its model."""
-    assert call("ahnn.predict", MOLNIYA, message(), *SHORT) == 0
-    assert "\nEME2000, EARTH, UTC, from 2024-03-01T12:00:00.000\n" in capsys.readouterr().out
-    numbers = [f"start={STATE.tolist()}", "epoch=2024-03-01T12:00:00", *SHORT]
-    assert call("ahnn.predict", MOLNIYA, *numbers) == 0
-    said = "\nUTC, frame and centre not stated (frame=), from 2024-03-01T12:00:00.000\n"
-    assert said in capsys.readouterr().out
-    run = framed(Path("run"), "EME2000, EARTH, UTC, from 2024-03-01T12:00:00.000")
-    Path("fixes.csv").write_text("t,x,y,z\n1200,0,-3145,-6173\n")
-    begun = [f"start={STATE.tolist()}", "start_sd=[1,0.001]", "time=1200", "measurements=fixes.csv"]
-    sensor = ["+sensors.fix.model=position", "+sensors.fix.sd=[1]"]
-    files = ["output=track.csv", "oem=track.oem", "figures=pictures"]
-    assert call("ahnn.assimilate", f"run={run}", *begun, *sensor, *files) == 0
-    capsys.readouterr()
-    for start in ("track.csv", "track.oem"):
-        assert call("ahnn.predict", f"run={run}", f"start={start}", *SHORT, "figure=ahead.svg") == 0
-        said = "EME2000, EARTH, UTC, from 2024-03-01T12:20:00.000"
-        zero = " (time zero 2024-03-01T12:00:00.000)" if start == "track.csv" else ""
-        assert f"\n{said}{zero}\n" in capsys.readouterr().out
-        assert f"{said}{zero}" in Path("ahead.svg").read_text()
-    drawn = Path("pictures/innovations.svg").read_text()
-    assert "EME2000, EARTH, UTC, time zero 2024-03-01T12:00:00.000" in drawn
-
-
-def test_identifier_and_name_of_an_object_pass_from_file_to_file():
-    """From a message to a prediction, to a track and its message, and on from each of them."""
-    known = (Covariance(0.0, P, "EME2000"),)
-    about = "2026-001A", "MYGTO", "EARTH", "EME2000", "UTC", NOON
-    write_oem("start.oem", [Ephemeris(*about, np.zeros(1), STATE[None], known)])
-    run = f"run={framed(Path('run'), 'EME2000, EARTH, UTC, from 2024-03-01T12:00:00.000')}"
-    Path("fixes.csv").write_text("t,x,y,z\n600,0,-3145,-6173\n")
-    stream = [run, "measurements=fixes.csv", "+sensors.fix.model=position", "+sensors.fix.sd=[1e4]"]
-    for k, (start, more, name) in enumerate(
-        (("start.oem", [], "MYGTO"), ("start.oem", ["object=OTHER"], "OTHER"), ("numbers", ["object=X"], "X"))
-    ):
-        begun = [f"start={start}"] if k < 2 else [f"start={STATE.tolist()}", "start_sd=[1,0.001]", "time=0"]
-        files = [f"output=track{k}.csv", f"oem=track{k}.oem"]
-        assert call("ahnn.assimilate", *stream, *begun, *more, *files) == 0
-        ident = "2026-001A" if k < 2 else "X"
-        (found,) = read_oem(f"track{k}.oem")
-        assert (found.object_id, found.object_name) == (ident, name)
-        assert f"objects:\n  {ident}: {name}\n" in Path(f"track{k}.yaml").read_text()
-        for start in (f"track{k}.csv", f"track{k}.oem"):
-            assert call("ahnn.predict", run, f"start={start}", *SHORT, "output=ahead.csv") == 0
-            assert first("ahead.csv")["id"] == ident
-            assert call("ahnn.predict", run, "start=ahead.csv", *SHORT, "output=again.oem") == 0
-            (found,) = read_oem("again.oem")
-            assert (found.object_id, found.object_name) == (ident, name)
-
-
 def test_references_say_what_they_are_of_and_clocks_are_turned():
     text = "EME2000, EARTH, UTC, from 2024-03-01T12:00:00.000"
     noon = Reference.of(text)

@@ -30,8 +30,8 @@ COORDINATE = re.compile(r"(?P<stem>q|x|(?P<angle>theta|phi|psi|alpha|angle))(?P<
 """Positions whose velocity may be named by its index: v1 for q1, omega for theta."""
 PLACED = re.compile(r"(position|pos|r|q)(?P<of>.*)")
 """Prefixes of position names: the velocity of rx or position_x is vx."""
-DEVIATIONS = "sd_"
-"""Prefix of the names of standard deviations; training uses data.noise instead of them."""
+DEVIATIONS, COVARIANCES = "sd_", "cov_"
+"""Prefixes of standard deviations and covariances; training uses data.noise instead of them."""
 BESIDE = ("t", "novelty", "novel")
 """Further columns of our predictions and final states: times beside epochs, and novelty."""
 CONTROL = re.compile(r"u\d*|(control|input|torque|command|cmd)(_?\w+)?")
@@ -135,8 +135,8 @@ def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
 
 
 def is_deviation(name: str) -> bool:
-    """Return whether a column is, by its name, the standard deviation of another column."""
-    return name.lower().startswith(DEVIATIONS)
+    """Return whether a column is, by its name, a standard deviation or a covariance of other columns."""
+    return name.lower().startswith((DEVIATIONS, COVARIANCES))
 
 
 def partner(names: tuple[str, ...], column: int, rest: list[int]) -> tuple[int, Kind] | None:

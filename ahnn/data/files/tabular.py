@@ -31,6 +31,8 @@ from ahnn.data.files.table import (
 from ahnn.data.files.unit_factors import scales
 from ahnn.data.files.unwrapped_angles import unwrapped
 
+SHOWN = 8
+"""Number of unused standard deviations and covariances that are named."""
 NOTATION = "Write dates as year-month-day, which is unambiguous"
 NOT_A_DATE = (
     "Write dates as year-month-day, check the order of the columns, or name a unit of time such as [s]"
@@ -118,7 +120,8 @@ def say_unused(header: Header, found: Roles, place: Place, note: Note, *, of_sta
     if others := [name for name in unused if name not in (*deviations, *known)]:
         note(Remark(place, f"not used, since the sidecar does not name them: {', '.join(others)}"))
     if deviations and not of_starts:
-        what = f"{', '.join(deviations)}: used for a start, but not for training"
+        more = f" and {len(deviations) - SHOWN} more" if len(deviations) > SHOWN else ""
+        what = f"{', '.join(deviations[:SHOWN])}{more}: used for a start, but not for training"
         remedy = "For training, set one standard deviation for all samples: sensor=recorded data.noise=..."
         note(Remark(place, what, remedy, "warning"))
 

@@ -70,6 +70,28 @@ def unit(text: str) -> Unit:
     return Unit(text.strip() or "1", size, tuple(dimension))
 
 
+def product(*texts: str) -> str:
+    """Return the product of units as a text, such as `km^2/s` of `km` and `km/s`; others are only joined."""
+    powers: dict[str, int] = {}
+    for text in texts:
+        try:
+            unit(text)
+        except ValueError:
+            return " * ".join(f"({one})" if set(one) & set(" /") else one for one in texts)
+        above, *below = text.translate(RAISED).split("/")
+        for sign, part in ((1, above), *((-1, part) for part in below)):
+            for found in POWER.finditer(part):
+                if name := found["name"]:
+                    powers[name] = powers.get(name, 0) + sign * int(found["power"] or 1)
+    over = [_raised(name, power) for name, power in powers.items() if power > 0]
+    under = [f"/{_raised(name, -power)}" for name, power in powers.items() if power < 0]
+    return f"{' '.join(over) or '1'}{''.join(under)}"
+
+
+def _raised(name: str, power: int) -> str:
+    return name if power == 1 else f"{name}^{power}"
+
+
 def is_unit(text: str) -> bool:
     """Return whether a text is a unit with a dimension."""
     try:

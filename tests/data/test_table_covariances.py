@@ -1,10 +1,11 @@
-"""Standard deviations in a table of starts: of the state that counts, in any unit, or refused."""
+"""Standard deviations and covariances in a table of starts: of the state that counts, or refused."""
 
 from __future__ import annotations
 
 import pytest
 import torch
 
+from ahnn.data.files.units import product
 from ahnn.data.starts import starts
 from ahnn.errors import UserError
 from ahnn.types import Space, Units
@@ -47,3 +48,24 @@ def test_some_alone_are_refused_and_exact_states_have_none(tmp_path, caplog):
     assert "the standard deviations are not used" in caplog.text
     given = read(tmp_path, HEAD, *ROWS, sd=[0.5, 0.25])
     assert given.covariances[1].diagonal().sqrt().tolist() == pytest.approx([0.5, 0.25], rel=1e-14)
+
+
+def test_covariances_come_before_standard_deviations_in_the_units_of_the_columns(tmp_path):
+    head = "id,t [s],q [km],vq [km/s],sd_q [km],sd_vq,cov_q_q [km^2],cov_vq_q [km km/s],cov_vq_vq"
+    found = read(tmp_path, head, "a,0,1,2,9,9,0.04,-0.006,0.01")
+    expected = torch.tensor([[4e4, -2 * 6e3], [-2 * 6e3, 4 * 1e4]], dtype=torch.float64)  # mass 2
+    assert torch.allclose(found.covariances[0], expected, rtol=1e-14)
+    with pytest.raises(UserError, match=r"cov_q_q: expected the unit of q, km\^2; received m\^2"):
+        read(tmp_path, head.replace("[km^2]", "[m^2]"), "a,0,1,2,9,9,0.04,-0.006,0.01")
+    with pytest.raises(UserError, match="expected cov_vq_vq with the other covariances; received none"):
+        read(tmp_path, head.removesuffix(",cov_vq_vq"), "a,0,1,2,9,9,0.04,-0.006")
+
+
+def test_the_unit_of_a_product():
+    assert [product("km", "km/s"), product("rad", "rad"), product("m/s", "m/s")] == [
+        "km^2/s",
+        "rad^2",
+        "m^2/s^2",
+    ]
+    assert [product("1", "1"), product("1", "1/s"), product("m", "ohm/s")] == ["1", "1/s", "m * (ohm/s)"]
+    assert product("kg m²/s", "rad") == "kg m^2 rad/s"
