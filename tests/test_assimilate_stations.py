@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 import pytest
+import yaml
 from entry import call
 
 import ahnn
@@ -46,6 +47,12 @@ def test_stations_of_a_file_are_followed_as_those_of_the_command_line(tmp_path, 
         with out.open() as file:
             names = "x", "y", "z", "vx", "vy", "vz"
             tracks.append(np.array([[float(row[name]) for name in names] for row in csv.DictReader(file)]))
+    units = yaml.safe_load((tmp_path / "0.yaml").read_text())["units"]
+    assert units["cov_x_x"] == "km^2"
+    assert (units["cov_vy_x"], units["cov_vz_vy"]) == ("km^2/s", "km^2/s^2")
+    for prefix in ("innovation_", "innovation_sd_"):
+        measured = [units[prefix + name] for name in ("range", "azimuth", "elevation", "range_rate")]
+        assert measured == ["km", "rad", "rad", "km/s"]
     assert tracks[0].shape == (12, 6)
     assert np.allclose(tracks[0], tracks[1], rtol=1e-9)
     assert call("ahnn.assimilate", *words, "stations=nowhere.yaml") == 2

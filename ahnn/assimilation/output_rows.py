@@ -19,6 +19,7 @@ from torch import Tensor
 
 from ahnn.assimilation.decimal_rows import decimal_rows
 from ahnn.assimilation.fixed_lag import numbers_of
+from ahnn.assimilation.row_units import with_row_units
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.assimilation.stream_estimate import Estimate
 from ahnn.assimilation.stream_sensor import StreamSensor
@@ -65,7 +66,6 @@ class Rows:
         self.clock = None if clock is None or clock.zero is None else clock
         self.smooths = len(components) if lag else 0
         self.scales = torch.ones(len(components), dtype=torch.float64) if scales is None else scales
-        self.said = said
         self.lower = [(i, j) for i in range(len(components)) for j in range(i + 1)]
         measured = dict.fromkeys(name for sensor in sensors.values() for name in sensor.columns)
         place = {name: k for k, name in enumerate(measured)}
@@ -82,6 +82,7 @@ class Rows:
         if lag:
             self.names += ["lag_time", *(f"lag_{name}" for name in components)]
             self.names += [f"lag_sd_{name}" for name in components]
+        self.said = None if said is None else with_row_units(said, components, sensors, self.names)
 
     def header(self) -> str:
         """Return the first line of a table; empty for JSON."""
