@@ -48,7 +48,10 @@ def trained(folder: Path, ckpt: str | None = None) -> None:
 
 
 def assert_same_end(one: Path, other: Path) -> None:
-    weights = [read_checkpoint(folder / "checkpoints" / "best.ckpt")["state_dict"] for folder in (one, other)]
+    contents = [read_checkpoint(folder / "checkpoints" / "best.ckpt") for folder in (one, other)]
+    before, after = (content["ahnn"]["trained"] for content in contents)  # as the training left it
+    assert before == after == {"loss": pytest.approx(before["loss"]), "epochs": 1}
+    weights = [content["state_dict"] for content in contents]
     assert all(torch.equal(weights[0][key], value) for key, value in weights[1].items())
     factors = [load_file(folder / "covariance.safetensors")["factor"] for folder in (one, other)]
     whole, resumed = (factor @ factor.mT for factor in factors)

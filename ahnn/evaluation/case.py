@@ -59,6 +59,8 @@ class Case:
         noise: noise of the measurements, if estimated in training.
         remark: remark on the test trajectories; "" if they belong to the training data.
         caveat: reason why the training cannot have produced a good model; "" without one.
+        shortfall: remark on a training that ended far from its optimum, which counts if residuals are more
+            than noise; "" without one.
     """
 
     label: str
@@ -84,6 +86,7 @@ class Case:
     noise: NoiseEstimate | None = None
     remark: str = ""
     caveat: str = ""
+    shortfall: str = ""
 
     def starts(self) -> dict[Start, Tensor]:
         """Return the initial states (B, D) by start, as in the paper, or those fitted to measurements."""

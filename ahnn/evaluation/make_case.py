@@ -38,6 +38,7 @@ def make_case(
     noise: Any = None,
     remark: str = "",
     caveat: str = "",
+    shortfall: str = "",
 ) -> Case:
     """Build the case of learned dynamics on the test trajectories of their data.
 
@@ -53,6 +54,7 @@ def make_case(
         noise: measurement noise from the metadata of the weights, if the training estimated it.
         remark: remark on the data, for the table.
         caveat: reason why the training cannot have produced a good model.
+        shortfall: remark on a training that ended far from its optimum.
     """
     source, truth = data.source, data.source.truth
     estimate = None if noise is None or data.sensor is None else read("noise", NoiseEstimate, noise)
@@ -84,6 +86,7 @@ def make_case(
         noise=estimate,
         remark=remark,
         caveat=caveat,
+        shortfall=shortfall,
     )
 
 

@@ -102,16 +102,24 @@ def band_tests(case: Case, fitted: float) -> dict[str, Any]:
 
 
 def add_goodness(case: Case, measured: Segment, findings: Findings) -> None:
-    """Add the goodness of fit to unseen measurements, with remedies if it is poor."""
+    """Add the goodness of fit to unseen measurements, with remedies if it is poor.
+
+    A training that ended early is the first cause, and its remedy the first fault; what else the residuals
+    show may be only its consequence.
+    """
     show("goodness of fit")
     flow = cast(Any, case.flow)
     explained = explain(flow, measured, case.robust)
     if explained.consistent:
         findings.tell(explained.sentence())
     else:
+        findings.tell(case.shortfall)
+        findings.faults[:0] = filter(None, [case.shortfall])
         findings.tell(explained.sentence(), findings.faults)
         show("tests of the residuals")
-        findings.tell(remedy(flow, measured, case.robust), findings.faults)
+        said = remedy(flow, measured, case.robust)
+        later = f"if it remains after a longer training: {said}" if said and case.shortfall else said
+        findings.tell(later, findings.faults)
     findings.tell(invisible(flow, measured, case.noise), findings.highlights)
     findings.numbers["measurements"] = explained.numbers()
 

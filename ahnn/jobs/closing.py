@@ -18,6 +18,7 @@ from ahnn.evaluation.case import Case
 from ahnn.evaluation.make_case import make_case
 from ahnn.evaluation.results import FILE, load_results
 from ahnn.evaluation.run import band_tests
+from ahnn.evaluation.shortfall import shortfall
 from ahnn.evaluation.sinks import TensorBoardSink
 from ahnn.jobs.prepared import Prepared
 from ahnn.loading import Run, load, made, weights_path
@@ -64,7 +65,8 @@ def _conclude(prepared: Prepared, best: Path, steps: int) -> None:
     train = data.whole("train")
     unknown = UnknownNoise() if data.sensor is None else data.sensor.unknown
     found, noise = conclude_with_noise(dynamics, train, data.whole("val"), steps, robust, unknown)
-    about: dict[str, Any] = {"concluded": True}
+    reached = {"loss": read_weights(best).about.get("val_loss"), "epochs": prepared.trainer.max_epochs}
+    about: dict[str, Any] = {"concluded": True, "trained": reached}
     if found is not None:
         learned, _ = found.taken(dynamics)
         batch = next(iter(data.val_dataloader()))
@@ -114,8 +116,9 @@ def case_of(prepared: Prepared, run: Run) -> Case:
     """Return the evaluation case of a training run."""
     plan = prepared.assessment
     named = {"label": prepared.label, "seed": plan.seed, "folder": prepared.folder, "domain": run.domain}
-    learned = {"uncertainty": run.uncertainty, "robust": prepared.robust, "noise": run.about.get("noise")}
-    return make_case(run.dynamics, prepared.data.splits, **learned, **named, caveat=plan.caveat)
+    learned: dict[str, Any] = {"uncertainty": run.uncertainty, "robust": prepared.robust}
+    learned |= {"noise": run.about.get("noise"), "caveat": plan.caveat, "shortfall": shortfall(run.about)}
+    return make_case(run.dynamics, prepared.data.splits, **learned, **named)
 
 
 def bands_of(prepared: Prepared, fitted: float) -> dict[str, Any]:
