@@ -184,3 +184,21 @@ def test_what_is_no_shard_is_refused(capsys):
         assert "shard: expected NUMBER/WORKERS, such as 2/8" in capsys.readouterr().err
     assert assimilate(*GIVEN, "shard=7/64") == 2
     assert "shard: expected at least one of the 4 objects in the start" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("objects", [True, False])
+@pytest.mark.parametrize(("factor", "said"), [(1000.0, "1000"), (1e-3, "1/1000"), (1.5, None)])
+def test_measurements_in_another_unit_are_suspected_by_their_factor(place, objects, factor, said, capsys):
+    head, *rows = (place / "fixes.csv").read_text().splitlines()
+    cells = [row.split(",") for row in rows if objects or ",S2," in row]
+    wrong = [[*row[:2], *(repr(factor * float(cell)) for cell in row[2:])] for row in cells]
+    kept = [row if objects else [row[0], *row[2:]] for row in wrong]
+    head = head if objects else head.replace(",sat", "")
+    (place / "wrong.csv").write_text("\n".join([head, *(",".join(row) for row in kept)]) + "\n")
+    start = [f"start={STARTS[2].tolist()}", "start_sd=[0.1,1e-4]"]
+    given = GIVEN[1:] if objects else [GIVEN[2], *start]
+    assert assimilate("measurements=wrong.csv", *given, "output=out.csv", "plugins.ukf.patience=1000") == 3
+    (line,) = [text for text in capsys.readouterr().err.splitlines() if "usable line" in text]
+    assert "rejected. Check the units of the measurements, or set start=" in line
+    question = f". The measured x, y, z are about {said} times the predicted value: is the unit right?"
+    assert line.endswith(question) == (said is not None)

@@ -193,7 +193,7 @@ NOTHING = {
     "ahead": (["gap=1"], "10 of 10 ahead. They are too long after the start: set its"),
     "bad": ([], "10 of 10 bad. The lines above state"),
     "predicted": ([], "10 of 10 predicted. Their values are missing"),
-    "rejected": (["plugins.ukf.gate=0.99", "plugins.ukf.patience=20"], "10 of 10 rejected. Set start="),
+    "rejected": (["plugins.ukf.gate=0.99", "plugins.ukf.patience=20"], "10 of 10 rejected. Check the units"),
     "header": ([], "received no line after the header"),
 }
 

@@ -144,6 +144,12 @@ class CatalogueSession(StreamSession):
             fates = Counter(FATES[fate] for fate in found.fates[parsed.table.sensors == k].tolist())
             self.gated.update({name: gated} if (gated := sum(fates[fate] for fate in GATED)) else {})
             self.refused.update({name: fates["rejected"]} if fates["rejected"] else {})
+            if fates["rejected"]:
+                own = (parsed.table.sensors == k) & (found.fates == FATES.index("rejected"))
+                columns = self.filter.sensors[name].columns
+                places = [self.filter.columns.index(column) for column in columns]
+                pair = (part[own][:, places] for part in (parsed.table.values, found.residuals.numpy()))
+                self.ratios.add(name, columns, *pair)
 
     def _say_others(self, parsed: ParsedLines, found: CatalogueEstimates) -> None:
         """Report readings with the outcomes in `WORDS`, and unknown objects."""

@@ -165,6 +165,9 @@ class Session(StreamSession):
             word = WORDS[estimate.outcome].format(now=self._said(estimate.time))
             log.info("line %d: %s %s", number, label, word)
         elif estimate.outcome == "rejected":
+            name = reading.sensor or next(iter(self.filter.sensors))
+            own = self.filter.sensors[name].columns, reading.values, estimate.innovation.residual
+            self.ratios.add(name, *own)
             told = number, label, float(estimate.innovation.nis), int(estimate.innovation.measured)
             log.info("line %d: %s rejected, NIS %.3g for %d values", *told)
         elif estimate.outcome == "reopened":

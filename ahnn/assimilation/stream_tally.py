@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 
+from ahnn.assimilation.unit_mistakes import RejectedRatios
 from ahnn.errors import TrainingError
 from ahnn.estimation.consistency import band
 
@@ -21,7 +22,8 @@ REMEDIES = {
     "bad": "The lines above state the faults",
     "late": "They precede the start: set its time (time=, and epoch= for time zero), or window=",
     "ahead": "They are too long after the start: set its time (time=, and epoch= for time zero), or gap=",
-    "rejected": "Set start= and start_sd=, the time of the start (time=, and epoch= for time zero), or gate=",
+    "rejected": "Check the units of the measurements, or set start= and start_sd=, the time of the start "
+    "(time=, and epoch= for time zero), or gate=",
     "repeated": "They were already processed: leave state= out, or start over with a new one",
     "lost": "Their filters have failed: set start= and start_sd=, or gate=",
     "unknown": "Their objects have no start: give a table of starts, start=FILE, or one start for all, "
@@ -40,6 +42,7 @@ class StreamTally:
         nis, numbers: sum of the NIS of accepted lines, and their number of values.
         disordered: number of late lines after the start, counted in this command only.
         gated, refused: number of lines by sensor on which the gate decided, and which it rejected, likewise.
+        ratios: rejected measurements beside their predictions, likewise.
         asks: whether the stream may consist of requests for predictions alone.
     """
 
@@ -49,6 +52,7 @@ class StreamTally:
         self.disordered, self.asks = 0, False
         self.gated: Counter[str] = Counter()
         self.refused: Counter[str] = Counter()
+        self.ratios = RejectedRatios()
 
     @classmethod
     def joined(cls, parts: Iterable[StreamTally]) -> StreamTally:
@@ -58,6 +62,7 @@ class StreamTally:
             total.counts.update(part.counts)
             total.gated.update(part.gated)
             total.refused.update(part.refused)
+            total.ratios.update(part.ratios)
             total.nis, total.numbers = total.nis + part.nis, total.numbers + part.numbers
             total.disordered, total.asks = total.disordered + part.disordered, total.asks or part.asks
         return total
@@ -86,7 +91,7 @@ class StreamTally:
         """Return a remark on each of several sensors of which most lines were rejected."""
         return [
             f"{refused:,} of {self.gated[name]:,} lines of {name} were rejected: check its coordinates, "
-            "units and noise"
+            f"units and noise{_after('; ', self.ratios.sentence(name))}"
             for name, refused in self.refused.items()
             if len(self.gated) > 1 and self.gated[name] >= LEAST and 2 * refused > self.gated[name]
         ]
@@ -102,7 +107,11 @@ class StreamTally:
             return
         most, count = max(self.counts.items(), key=lambda item: item[1], default=("none", 0))
         received = f"{count:,} of {self.counts.total():,} {most}" if count else "no line after the header"
-        message = f"measurements: expected at least one usable line; received {received}. {REMEDIES[most]}"
+        suspicion = _after(". ", _capitalised(self.ratios.sentence()) if most == "rejected" else "")
+        message = (
+            f"measurements: expected at least one usable line; received {received}. {REMEDIES[most]}"
+            f"{suspicion}"
+        )
         raise TrainingError(message)
 
     def require_followed(self) -> None:
@@ -120,5 +129,14 @@ class StreamTally:
         message = (
             f"measurements: expected a filter that follows them; received {received} of {usable:,} lines. "
             f"Check the units, the order of columns and rows, the stations and the start{order}"
+            f"{_after('. ', _capitalised(self.ratios.sentence()))}"
         )
         raise TrainingError(message)
+
+
+def _after(before: str, text: str) -> str:
+    return before + text if text else ""
+
+
+def _capitalised(text: str) -> str:
+    return text[:1].upper() + text[1:]

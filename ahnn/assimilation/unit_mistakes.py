@@ -1,0 +1,62 @@
+"""Units that are off by a factor of 1000, seen in rejected measurements beside their predictions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from statistics import median
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+KEPT = 200
+"""Maximum number of ratios kept for each measured value."""
+LEAST = 3
+"""Number of ratios below which nothing is said."""
+NEAR = 0.1
+"""Tolerance of the decimal logarithm of a ratio."""
+FACTORS = {3: "1000", -3: "1/1000"}
+"""Suspicious ratios by their decimal logarithms."""
+
+
+class RejectedRatios:
+    """Ratios of rejected measurements to their predictions, by sensor and measured value."""
+
+    def __init__(self) -> None:
+        self.known: dict[tuple[str, str], list[float]] = {}
+
+    def add(self, sensor: str, names: Sequence[str], values: ArrayLike, residuals: ArrayLike) -> None:
+        """Add rejected measurements.
+
+        Args:
+            sensor: name of the sensor.
+            names: names of its M values.
+            values: (..., M) measured values, NaN where missing.
+            residuals: (..., M) measurements minus predictions.
+        """
+        measured = np.asarray(values, dtype=np.float64).reshape(-1, len(names))
+        predicted = measured - np.asarray(residuals, dtype=np.float64).reshape(-1, len(names))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratios = np.log10(np.abs(measured / predicted))
+        for name, column in zip(names, ratios.T, strict=True):
+            own = self.known.setdefault((sensor, name), [])
+            own += column[np.isfinite(column)][: KEPT - len(own)].tolist()
+
+    def update(self, other: RejectedRatios) -> None:
+        """Add the ratios of another stream."""
+        for key, ratios in other.known.items():
+            self.known.setdefault(key, []).extend(ratios)
+
+    def sentence(self, sensor: str | None = None) -> str:
+        """Return a remark on the values of a sensor, or of all of them for None; "" without suspicion."""
+        found: dict[str, dict[str, None]] = {}
+        for (whose, name), ratios in self.known.items():
+            middle = median(ratios) if len(ratios) >= LEAST else math.nan
+            near = [text for power, text in FACTORS.items() if abs(middle - power) < NEAR]
+            if near and sensor in (None, whose):
+                found.setdefault(near[0], {})[name] = None
+        return "; ".join(
+            f"the measured {', '.join(names)} {'is' if len(names) == 1 else 'are'} about {factor} times the "
+            "predicted value: is the unit right?"
+            for factor, names in found.items()
+        )
