@@ -14,6 +14,8 @@ from ahnn.data.files.content import Content
 LEVELS = ("fault", "warning", "note")
 SHOWN = 5
 """Maximum number of similar findings listed in the table; the rest are counted."""
+FILE = 12, 20
+"""Minimum and maximum width of file names, which are never broken; longer ones lack their middle."""
 NARROW = 6
 """Minimum width of the names of columns; the descriptions give four more to longer names."""
 
@@ -34,7 +36,8 @@ def listed(findings: list[Finding]) -> RenderableType:
     table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False)
     longest = max((len(word) for one in findings for word in one.column.split()), default=0)
     wide = min(max(longest, NARROW), NARROW + 4)
-    widths = (7, 12, 6, wide, 24 + NARROW - wide, 20)
+    file = min(max([FILE[0], *(len(Path(one.file).name) for one in findings)]), FILE[1])
+    widths = (7, file, 6, wide, 24 + NARROW + FILE[0] - wide - file, 20)
     for name, width in zip(("", "file", "row", "column", "what", "what to do"), widths, strict=True):
         table.add_column(name, width=width, overflow="fold", justify="right" if name == "row" else "left")
     for level in LEVELS:
@@ -60,13 +63,20 @@ def columns(content: Content) -> str:
 
 
 def shortened(findings: list[Finding]) -> Iterator[tuple[str, str, str, str, str]]:
-    """Yield the table cells of findings, with a count in place of similar ones beyond `SHOWN`."""
+    """Yield the table cells of findings, of similar ones the largest and a count of those beyond `SHOWN`."""
     kinds: dict[tuple[str, str, str], list[Finding]] = {}
     for one in findings:
         kinds.setdefault((one.file, one.column, one.remedy), []).append(one)
     for (file, column, _), alike in kinds.items():
-        name = Path(file).name
-        for one in alike[:SHOWN]:
+        name = fitting(Path(file).name)
+        for one in sorted(alike, key=lambda one: -one.size)[:SHOWN]:
             yield name, str(one.row or ""), column, one.what, one.remedy
         if (more := len(alike) - SHOWN) > 0:
             yield name, "...", column, f"{more:,} more like these", ""
+
+
+def fitting(name: str) -> str:
+    """Return a file name of at most the width of its column, long ones with `...` in the middle."""
+    most = FILE[1]
+    half = (most - 3) // 2
+    return name if len(name) <= most else f"{name[: most - 3 - half]}...{name[-half:]}"

@@ -9,6 +9,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 
 from ahnn.data.doctor import Finding
+from ahnn.data.doctor.spans import duration
 from ahnn.data.files import epochs
 from ahnn.data.files.kinds import ABOUT, kind_of
 from ahnn.data.files.raw import content_of, decoded
@@ -83,13 +84,6 @@ def _table(path: Path, data: TrackingData, series: list[SeriesSurvey]) -> Render
 
 def _spelled(data: TrackingData, time: float) -> str:
     return epochs.spelled(data.epoch + round(time * epochs.SECOND), utc=True)
-
-
-def duration(seconds: float) -> str:
-    """Format a duration, such as 13.2 h."""
-    units = (("d", 86400.0), ("h", 3600.0), ("min", 60.0))
-    name, size = next(((name, size) for name, size in units if seconds >= 2 * size), ("s", 1.0))
-    return f"{seconds / size:.1f} {name}"
 
 
 def _findings(path: Path, data: TrackingData, series: list[SeriesSurvey]) -> list[Finding]:

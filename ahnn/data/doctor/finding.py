@@ -20,6 +20,7 @@ class Finding(NamedTuple):
         column: column name, or "".
         what: description of the defect.
         remedy: what the user can do.
+        size: size of the defect; of similar findings the largest are listed first.
     """
 
     level: Level
@@ -28,6 +29,7 @@ class Finding(NamedTuple):
     column: str
     what: str
     remedy: str
+    size: float = 0.0
 
     @classmethod
     def of(cls, said: Fault | Remark) -> Finding:

@@ -10,6 +10,7 @@ import numpy as np
 from ahnn.data.doctor.finding import Finding, Level
 from ahnn.data.doctor.rare_rates import missing_rates, rarely_measured
 from ahnn.data.doctor.slopes import interpolated
+from ahnn.data.doctor.spans import spelled_span
 from ahnn.data.files.content import Content
 from ahnn.data.files.samples import Track, filled, stacked
 from ahnn.data.files.table import Fault
@@ -42,8 +43,8 @@ def sample_findings(content: Content, gap: float) -> Iterator[Finding]:
     yield from missing_rates(content, rare)
     for track in content.tracks:
         yield from missing(track, names, rare)
-        yield from gaps(track, content.time, gap)
-        yield from outliers(track, names)
+        yield from gaps(track, content.time, gap, content.units.time)
+        yield from outliers(track, content)
     yield from runs_of_outliers(content, names)
     yield from constant(content, names)
     if unit(content.units.position).dimension == ANGLE:
@@ -60,19 +61,28 @@ def missing(track: Track, names: tuple[str, ...], rare: Sequence[int] = ()) -> I
         yield Finding("warning", track.file, int(track.rows[k]), names[c], "a missing number", remedy)
 
 
-def gaps(track: Track, column: str, gap: float) -> Iterator[Finding]:
-    """Yield a finding for each sample after a gap."""
+def gaps(track: Track, column: str, gap: float, base: str = "1") -> Iterator[Finding]:
+    """Yield a finding for each sample after a gap.
+
+    Args:
+        track: samples of a trajectory.
+        column: name of the time column.
+        gap: multiple of the median step that counts as a gap, for samples not on a grid.
+        base: unit of time.
+    """
     try:
-        rows = filled(track, gap).rows
+        whole = filled(track, gap)
     except Fault as fault:
         yield Finding.of(fault)
         return
-    there = np.flatnonzero(rows)
+    there = np.flatnonzero(whole.rows)
     for k in np.flatnonzero(np.diff(there) > 1):
         absent = int(there[k + 1] - there[k] - 1)
-        what = f"a gap: {absent} {'sample is' if absent == 1 else 'samples are'} missing before this one"
+        span, row = float(np.diff(whole.times[there[[k, k + 1]]])[0]), int(whole.rows[there[k + 1]])
+        samples = "sample is" if absent == 1 else "samples are"
+        what = f"a gap of {spelled_span(span, base)}: {absent} {samples} missing before this one"
         remedy = "Nothing to do: no window crosses it"
-        yield Finding("warning", track.file, int(rows[there[k + 1]]), column, what, remedy)
+        yield Finding("warning", track.file, row, column, what, remedy, span)
 
 
 def constant(content: Content, names: tuple[str, ...]) -> Iterator[Finding]:
@@ -104,8 +114,14 @@ def too_few(contents: Sequence[Content]) -> Iterator[Finding]:
         )
 
 
-def outliers(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
-    """Yield isolated samples far from the polynomials through their neighbours, if these agree."""
+def outliers(track: Track, content: Content) -> Iterator[Finding]:
+    """Yield isolated samples far from the polynomials through their neighbours, if these agree.
+
+    Args:
+        track: samples of a trajectory.
+        content: content of its file, with names and units.
+    """
+    names = (*content.positions, *content.rates)
     count = len(track.times)
     if count < 11:
         return
@@ -125,9 +141,10 @@ def outliers(track: Track, names: tuple[str, ...]) -> Iterator[Finding]:
     alone = np.maximum(*map(np.abs, pulled)) < EVEN * off
     far = alone & (off > FAR * doubt) & (off > LEAST * size)
     for k, c in zip(*np.nonzero(far), strict=True):
-        what = f"an outlier: {off[k, c]:.2g} from the curve through its neighbours"
+        size = float(off[k, c])
+        what = f"an outlier: {of_column(content, c, size)} from the curve through its neighbours"
         remedy = "Correct it, leave the cell empty, or train with loss.robust=student"
-        yield Finding("warning", track.file, int(track.rows[at[k]]), names[c], what, remedy)
+        yield Finding("warning", track.file, int(track.rows[at[k]]), names[c], what, remedy, size)
 
 
 def runs_of_outliers(content: Content, names: tuple[str, ...]) -> Iterator[Finding]:
@@ -184,8 +201,21 @@ def too_wide(content: Content) -> Iterator[Finding]:
                 break
 
 
-def in_file(content: Content, name: str, value: float, here: str) -> str:
-    """Return a value of a column in the unit of the file, followed by the value in the unit of the space."""
+def of_column(content: Content, c: int, value: float) -> str:
+    """Return a value of a column in the unit of the file, followed by the value in the unit of the space.
+
+    Pure numbers and momenta have no unit.
+
+    Args:
+        content: content of a file.
+        c: index of the column among positions and rates.
+        value: value in the unit of the space.
+    """
+    n = len(content.positions)
+    here = content.units.position if c < n else content.units.velocity
+    if here == "1" or (content.momenta and c >= n):
+        return f"{value:.2g}"
+    name = (*content.positions, *content.rates)[c]
     own = next((column.unit for column in content.columns if column.name == name), "") or here
     shown = f"{value:.2g} {here}"
     return shown if own == here else f"{value * unit(here).size / unit(own).size:.2g} {own}, that is {shown}"
@@ -202,17 +232,14 @@ def noise(content: Content, names: tuple[str, ...], gap: float) -> Iterator[Find
     if samples.shape[1] <= ORDERS[-1]:
         return
     typical = samples.diff(dim=1).abs().flatten(0, 1).nanmedian(0).values
-    file, n, plateau = content.tracks[0].file, len(content.positions), differences_level(samples, times)
+    file, plateau = content.tracks[0].file, differences_level(samples, times)
     found = noise_floor(samples, times)
     rare = (plateau > SHARE * typical) & found.isnan()
     for c, (name, level, step) in enumerate(zip(names, found.tolist(), typical.tolist(), strict=True)):
         if level > SHARE * step > 0:
-            here = content.units.position if c < n else content.units.velocity
-            what = "" if content.momenta and c >= n else in_file(content, name, level, here)
             remedy = "Set it: sensor=recorded data.noise=..."
-            yield Finding(
-                "note", file, content.head, name, f"noise of about {what or f'{level:.2g}'}", remedy
-            )
+            what = f"noise of about {of_column(content, c, level)}"
+            yield Finding("note", file, content.head, name, what, remedy)
     if bool(rare.any()):
         remedy = "Give more samples per period: noise and units were not checked"
         yield Finding(

@@ -78,7 +78,7 @@ class Recordings(ABC):
                 log.warning("%s: %s. %s", Place(one.file, one.row, one.column), one.what, one.remedy)
         faults = [one for one in found if one.level == "fault"]
         if faults:
-            (_, file, row, column, what, remedy), rest = faults[0], len(faults) - 1
+            (_, file, row, column, what, remedy, _), rest = faults[0], len(faults) - 1
             more = f", and {rest} more" if rest else ""
             expected = f"{Place(file, row, column)}: expected valid data; received: {what}{more}. {remedy}"
             message = f"{expected}. {self.lists}Set system.unsound=true to train anyway"

@@ -54,12 +54,12 @@ def test_rates_missing_at_most_positions_are_one_finding():
 @pytest.mark.parametrize(("absent", "said"), [(1, "1 sample is missing"), (3, "3 samples are missing")])
 def test_a_gap_says_how_many_are_missing_before_which_row(absent, said):
     times = np.cumsum([0.0, *[0.1] * 9, 0.1 * (absent + 1), *[0.1] * 9])
-    (one,) = gaps(track(np.sin(times), times), "t", 10.0)
+    (one,) = gaps(track(np.sin(times), times), "t", 10.0, "h")
     assert (one.level, one.row, one.column, one.what) == (
         "warning",
         12,
         "t",
-        f"a gap: {said} before this one",
+        f"a gap of {6 * (absent + 1):.1f} min: {said} before this one",
     )
 
 
@@ -148,6 +148,8 @@ def test_noise_takes_eleven_samples_at_any_steps():
     times = np.cumsum(np.random.default_rng(2).uniform(0.5, 1.5, 11))
     (found,) = noise(content(*(one._replace(times=times) for one in even)), ("q",), 10.0)
     assert found.what == "noise of about 1 rad"
+    (found,) = noise(content(*(one._replace(times=times) for one in even), units=("1", "1")), ("q",), 10.0)
+    assert found.what == "noise of about 1"
     degrees = content(*(one._replace(times=times) for one in even))._replace(
         columns=(Column("q", "position", "deg"),)
     )

@@ -62,6 +62,7 @@ def test_an_outlier_of_a_kilometre_is_named_and_nothing_beside_it(tmp_path, off,
     t, states = ellipse(90, 100)
     states[row, 1] += off
     found = [one for one in checked(tmp_path, t, states) if "outlier" in one.what]
+    assert all(" km from the curve" in one.what for one in found)
     assert [(one.row, one.column) for one in found] == [(row + 2, "y")]
     assert "loss.robust=student" in found[0].remedy
 
