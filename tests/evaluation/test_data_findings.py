@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import io
+import math
 
-import numpy as np
 from rich.console import Console
 
 from ahnn.data.doctor import examine
@@ -14,7 +14,7 @@ from ahnn.evaluation.data_findings import checkup
 
 def lines_of(folder, name, kept):
     """The lines of the table for a swing with some of 400 samples, one a minute."""
-    rows = "".join(f"{60 * k},{np.sin(k / 30)!r},{np.cos(k / 30) / 1800!r}\n" for k in kept)
+    rows = "".join(f"{60 * k},{math.sin(k / 30)!r},{math.cos(k / 30) / 1800!r}\n" for k in kept)
     (folder / name).write_text(f"t [s],x [m],vx [m/s]\n{rows}")
     console = Console(width=80, record=True, file=io.StringIO())
     console.print(checkup(examine([folder / name], FileReading())))

@@ -145,7 +145,7 @@ def test_the_command_takes_ten_usual_steps_for_a_gap_unless_told(tmp_path, capsy
     assert call("ahnn.data.__main__", "check", str(tmp_path / "a.csv"), *option) == 0
     shown = capsys.readouterr().out
     assert f"0 faults, {1 + count} warning" in shown
-    assert ("a gap: " in shown) == bool(count)
+    assert ("a gap of " in shown) == bool(count)
 
 
 @pytest.mark.parametrize("momenta", [False, True])
