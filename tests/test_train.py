@@ -213,7 +213,7 @@ def test_a_loss_that_is_not_finite_stops_the_run_and_keeps_the_best_weights(tmp_
 
 def test_a_multirun_makes_four_folders_and_one_table(tmp_path, capfd):
     jobs = ["-m", "model=hnn,ahnn", "seed=7,201", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
-    jobs += ["evaluation.figures=false"]
+    jobs += ["evaluation=scores", "recipe=first_order"]
     assert call("ahnn.train", *jobs, *SMALL) == 0
     folders = sorted(path.name for path in (tmp_path / "sweep").iterdir() if path.is_dir())
     assert folders == ["0", "1", "2", "3"]
