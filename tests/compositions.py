@@ -65,13 +65,27 @@ def shared() -> Iterator[None]:
         found.config_overrides = values
         return found
 
+    def begun(
+        self: ConfigLoaderImpl, defaults: list[ResultDefault], repo: IConfigRepository
+    ) -> list[ResultDefault]:
+        """Return the defaults with one element for the files of Hydra, which come first and seldom differ."""
+        count = 1 + [one.config_path for one in defaults].index("hydra/config")
+        first = ResultDefault(
+            package=" ".join(f"{one.config_path}@{one.package}" for one in defaults[:count])
+        )
+        key = _places(repo), first.config_path, first.package, first.primary
+        if key not in placed:
+            found = ConfigResult("shared", "", MERGE(self, defaults[:count], repo), {"package": None})
+            placed[key] = pickle.dumps(found)
+        return [first, *defaults[count:]]
+
     def merge_once(
         self: ConfigLoaderImpl, defaults: list[ResultDefault], repo: IConfigRepository
     ) -> DictConfig:
         if _places(repo) is None:
             return MERGE(self, defaults, repo)
         if id(defaults) not in merged:
-            made = MERGE(self, defaults, repo)
+            made = MERGE(self, begun(self, defaults, repo), repo)
             merged[id(defaults)] = defaults, pickle.dumps(made)  # keeps the list, and so its id
             return made
         return pickle.loads(merged[id(defaults)][1])

@@ -17,8 +17,15 @@ LINES = [
     ["seed=4", "system=kepler", "+model.network.more=1", "trainer.max_epochs=7"],
     ["plugins=ukf", "sensor=orbit_positions", "hamiltonian=central_body"],
     ["experiment=molniya_mechanical", "~logger"],
+    ["hydra/launcher=joblib", "hydra.sweep.dir=7"],
 ]
-WRONG = [["system=nowhere"], ["system.nowhere=1"], ["model=mlp", "hamiltonian=mechanical"], ["seed=[1"]]
+WRONG = [
+    ["system=nowhere"],
+    ["system.nowhere=1"],
+    ["model=mlp", "hamiltonian=mechanical"],
+    ["seed=[1"],
+    ["hydra.job.no=1"],
+]
 
 
 def plain(line: list[str]) -> Any:
