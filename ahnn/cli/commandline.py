@@ -28,8 +28,9 @@ from omegaconf import DictConfig, OmegaConf
 from ahnn.arguments import flatten
 from ahnn.cli.identical_jobs import warn_of_twins
 from ahnn.cli.importing import let_import
-from ahnn.cli.option_hints import nearest_key, once_each, unknown_option
+from ahnn.cli.option_hints import nearest_key, once_each, unknown_option, unused_group
 from ahnn.cli.settings import CommonSettings
+from ahnn.cli.sweep_syntax import sweep_fault
 from ahnn.cli.trust import targets
 from ahnn.cli.unreferenced_keys import require_referenced
 from ahnn.errors import UserError
@@ -83,13 +84,15 @@ def parse(text: str) -> Override:
     """Parse an override.
 
     Raises:
-        UserError: invalid syntax; the message shows how to quote the value.
+        UserError: invalid syntax; the message shows how to quote the value, or to write a sweep.
     """
     key, equals, value = text.partition("=")
     message = f"{text!r}: expected KEY=VALUE, for example seed=7"
     try:
         override = OverridesParser.create().parse_override(text)
     except HydraException as error:
+        if fault := sweep_fault(text):
+            raise UserError(fault) from error
         if equals and key:
             escaped = value.replace("\\", "\\\\").replace('"', '\\"')
             quoted = shlex.quote(f'{key}="{escaped}"')
@@ -97,6 +100,8 @@ def parse(text: str) -> Override:
         raise UserError(message) from error
     if not override.key_or_group:
         raise UserError(message)
+    if isinstance(override.value(), str | QuotedString) and (fault := sweep_fault(text)):
+        raise UserError(fault)
     return override
 
 
@@ -198,7 +203,7 @@ def compose(loader: ConfigLoaderImpl, name: str, overrides: list[str]) -> DictCo
         groups = [text for text in overrides if loader.repository.group_exists(text.partition("=")[0])]
         if groups == overrides:
             message = f"{' '.join(groups)}: these options are incompatible; {first_line(error)}"
-            raise UserError(message) from error
+            raise UserError(unused_group(first_line(error), groups) or message) from error
         plain: Any = OmegaConf.to_container(compose(loader, name, groups))
         message = f"configuration: {first_line(error)}"
         if key := getattr(error.__cause__, "full_key", None):
@@ -248,6 +253,14 @@ def check_recipe(cfg: DictConfig, overrides: Iterable[str]) -> None:
             )
             raise UserError(message)
     elif noise is not None and not any(text.startswith(NAMES_A_RECIPE) for text in overrides):
+        choices = OmegaConf.select(cfg, "hydra.runtime.choices") or {}
+        if (sensor := choices.get("sensor") or "none") != "none":
+            message = (
+                f"data.noise: expected a loss for measurements; received model={choices.get('model')}, which "
+                f"sets loss={choices.get('loss')} in place of that of sensor={sensor}. Use model=ahnn, or "
+                "add loss=shooting"
+            )
+            raise UserError(message)
         message = (
             "data.noise: expected a recipe for noisy measurements; received noise with a recipe for exact "
             "samples. Use recipe=measurements, recipe=noisy_states for densely sampled states, "

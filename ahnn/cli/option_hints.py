@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from difflib import get_close_matches
 
@@ -14,6 +15,9 @@ from ahnn.errors import UserError
 RATE = "optimizer.lr"
 RATES = ("lr", "learning_rate", RATE, "optimizer.learning_rate")
 """Names by which users may refer to the learning rate."""
+NEAR = 0.65
+"""Similarity from which the last part of another key is suggested."""
+ABSENT = re.compile(r"Could not override '(\w+)'\. No match in the defaults list")
 OWN = ". For your own options add --config-dir FOLDER"
 
 
@@ -24,6 +28,26 @@ def unknown_option(loader: ConfigLoaderImpl, group: str, option: str, known: Ite
         return f"{group}: unknown option {option!r}; it is an option of {others[0]}: {others[0]}={option}"
     hint = nearest(option, known)
     return f"{group or '--config-name'}: unknown option {option!r}{hint}{OWN * ('it takes' in hint)}"
+
+
+def unused_group(said: str, overrides: Iterable[str]) -> str | None:
+    """Return the message on an option whose group the chosen model has not; None for other errors of Hydra.
+
+    Args:
+        said: first line of the error.
+        overrides: options of groups on the command line.
+    """
+    if (found := ABSENT.search(said)) is None:
+        return None
+    group, given = found[1], {text.partition("=")[0]: text for text in overrides}
+    if group not in given:
+        return None
+    part = "a Hamiltonian" if group == "hamiltonian" else f"options of {group}"
+    received = f"{given.get('model', 'one')}, which has none"
+    return (
+        f"{given[group]}: expected a model with {part}; received {received}. Use model=ahnn, or leave "
+        f"{given[group]} out"
+    )
 
 
 def once_each(loader: ConfigLoaderImpl, overrides: Iterable[Override]) -> list[Override]:
@@ -49,7 +73,11 @@ def nearest_key(wrong: str, known: Iterable[str]) -> str:
     if wrong in RATES:
         return f"; did you mean {RATE!r}?"
     parts = {key.rpartition(".")[2] for key in known if not key.startswith("hydra.")}
-    for close in ([last], get_close_matches(wrong, known, n=1, cutoff=0.7), get_close_matches(last, parts)):
+    for close in (
+        [last],
+        get_close_matches(wrong, known, n=1, cutoff=0.7),
+        get_close_matches(last, parts, cutoff=NEAR),
+    ):
         same = [key for key in known if key in close or key.rpartition(".")[2] in close]
         if same:
             return f"; did you mean {get_close_matches(wrong, same, n=1, cutoff=0)[0]!r}?"

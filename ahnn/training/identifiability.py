@@ -33,7 +33,10 @@ def require_identifiable(dynamics: Dynamics, sensor: Sensor, *, windows: bool) -
         return
     received = f"received {', '.join(sensor.measurement.names)}"
     if windows:
-        message = f"loss: expected measured states for a loss on windows; {received}. Use recipe=measurements"
+        message = (
+            f"loss: expected measured states for a loss on windows; {received}. Use recipe=measurements, and "
+            "loss=shooting where the model sets another loss"
+        )
         raise UserError(message)
     if not (has_field(dynamics) and knows_velocities(dynamics.field)):
         message = (
