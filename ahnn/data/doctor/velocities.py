@@ -29,7 +29,7 @@ UNCLEAR = 0.1
 LEAST = 8
 """Minimum number of samples for testing a trajectory individually; shorter ones are pooled."""
 FACTORS = {
-    1000.0: "metres given as km, or the reverse",
+    1000.0: "metres given as km, milliseconds given as s, or the reverse",
     60.0: "minutes given as s, or the reverse",
     3600.0: "hours given as s, or the reverse",
     180 / np.pi: "degrees given as rad, or the reverse",
@@ -64,7 +64,29 @@ def velocity_findings(content: Content, tracks: list[Track], mass: float | Seque
     if short:
         pooled = VelocityComparison(*(np.concatenate(parts) for parts in zip(*short, strict=True)))
         long.append((tracks[0]._replace(rows=np.zeros(1, dtype=np.int64)), pooled))
-    return [finding for c in range(n) for finding in of_component(content, c, long)]
+    found = []
+    for c in range(n):
+        wrong = of_component(content, c, long)
+        swapped = bool(wrong) and not content.momenta and interchanged(content, tracks, c)
+        found += [interchange(content, c)] if swapped else wrong
+    return found
+
+
+def interchanged(content: Content, tracks: list[Track], c: int) -> bool:
+    """Return whether, in nearly all tracks, the stated position is the change in the stated velocity."""
+    n, order = len(content.positions), np.arange(2 * len(content.positions))
+    order[[c, n + c]] = order[[n + c, c]]
+    pairs = [compared(track._replace(values=track.values[:, order]), n, np.ones(())) for track in tracks]
+    judged = [ratio for one in pairs if one is not None and (ratio := misfit(one, c)) is not None]
+    return judged.count(1.0) > 0.9 * len(judged)
+
+
+def interchange(content: Content, c: int) -> Finding:
+    """Build the finding for a position and a velocity in each other's columns."""
+    name, position = content.rates[c], content.positions[c]
+    what = f"{position} is the change in {name} per {content.units.time}: the columns seem to be interchanged"
+    remedy = f"Interchange the names {position} and {name} in the header"
+    return Finding("fault", content.tracks[0].file, content.head, name, what, remedy)
 
 
 def compared(track: Track, n: int, scale: Array) -> VelocityComparison | None:
@@ -137,7 +159,11 @@ def finding(content: Content, c: int, file: str, row: int, ratio: float) -> Find
     kind = f"{name} over the mass" if content.momenta else name
     if ratio == 0:
         what = f"{kind} is neither the change in {position} per {per} nor proportional to it"
-        return Finding(level, file, row, name, what, "Give both in one inertial frame")
+        turning = len(content.positions) > 1 and unit(content.units.position).dimension == LENGTH
+        remedy = (
+            "Give both in one inertial frame" if turning else "Correct the order or the units of the columns"
+        )
+        return Finding(level, file, row, name, what, remedy)
     what = f"{kind} is {ratio:.4g} times the change in {position} per {per}"
     size = abs(ratio) if abs(ratio) > 1 else 1 / abs(ratio)
     for factor, hint in FACTORS.items():

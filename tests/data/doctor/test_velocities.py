@@ -218,3 +218,24 @@ def test_a_ratio_is_the_middle_one_by_the_size_of_the_derivatives():
     assert weighted_median(np.array([5.0, 6.0, 7.0, 7.5, 9.0]), heavy[:, 0]) == 5.0
     assert weighted_median(np.array([2.0, 6.0, 7.0, 10.0, 9.0]), heavy[:, 0]) == 4.0
     assert weighted_median(heavy[:, 0], 0 * heavy[:, 0]) == 0.0
+
+
+def test_columns_in_each_others_place_are_named():
+    for track in (swing(), swing(count=12)):
+        other = [track._replace(values=track.values[:, ::-1], name=name) for name in "abc"]
+        (one,) = found(*other)
+        assert (one.level, one.row, one.column) == ("fault", 1, "v")
+        assert one.what == "q is the change in v per s: the columns seem to be interchanged"
+        assert one.remedy == "Interchange the names q and v in the header"
+
+
+def test_frames_are_mentioned_for_several_coordinates_alone():
+    track = swing()
+    track.values[:, 1] = np.cos(7 * track.times)
+    (one,) = found(track)
+    assert one.remedy == "Correct the order or the units of the columns"
+    two = track._replace(values=np.repeat(track.values, 2, axis=1))
+    content = Content(("x", "y"), ("vx", "vy"), False, UNITS, "", (two,), head=1)
+    assert {one.remedy for one in velocity_findings(content, [two], 1.0)} == {
+        "Give both in one inertial frame"
+    }
