@@ -277,3 +277,12 @@ def test_a_documented_command_runs_as_printed(command, places):
         if part in command.text:
             pytest.skip(f"{command.text}: {reason}")
     run_in(places(command.section), command.text)
+
+
+def test_entries_of_metrics_are_named_with_the_part_that_has_them():
+    """Results of evaluations are under `plugins`; rows and training have parts of their own."""
+    for document in DOCUMENTS:
+        text = " ".join(document.read_text().split())
+        for sentence in re.findall(r"[^.]*`metrics\.json`[^.]*(?:\.\w[^.]*)*\.", text):
+            for place in re.findall(r"\b[uU]nder `([\w.]+)`", sentence):
+                assert place.partition(".")[0] in ("plugins", "training", "rows", "about"), (document, place)
