@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 
 from ahnn import __version__
@@ -27,9 +28,25 @@ Trained models shipped with the package:
   """
 
 
+OVERVIEW = ([], ["--help"], ["-h"], ["--version"])
+"""Arguments with which the overview is printed."""
+
+
 def tell() -> None:
-    """List commands and trained models."""
+    """List commands and trained models; raises UserError for other arguments, as commands are separate."""
+    from ahnn.errors import UserError
     from ahnn.pretrained import names
+
+    if (given := sys.argv[1:]) not in OVERVIEW:
+        name, rest = given[0], shlex.join(given[1:])
+        if f"-m ahnn.{name} " not in COMMANDS:
+            message = f"expected no arguments; received {name!r}. `ahnn` alone lists the commands"
+            raise UserError(message)
+        short = f"ahnn-{name} {rest}".rstrip()
+        either = "" if name == "data" else f"`{short}` or "
+        command = f"python -m ahnn.{name} {rest}".rstrip()
+        message = f"expected a command with a hyphen or a module; received {name!r}. Use {either}`{command}`"
+        raise UserError(message)
 
     sys.stdout.write(COMMANDS + ", ".join(names()) + "\n")
 

@@ -279,9 +279,10 @@ def test_a_fit_needs_a_folder(folder):
         ahnn.fit(oscillators(), SPACE, folder=folder)
 
 
-def test_what_there_is_is_said(capsys):
+def test_what_there_is_is_said(capsys, monkeypatch):
     from ahnn.__main__ import main
 
+    monkeypatch.setattr("sys.argv", ["ahnn"])
     main()
     out = capsys.readouterr().out
     assert "python -m ahnn.train" in out
