@@ -40,7 +40,9 @@ DECISIVE = ("max_epochs", "gradient_clip_val", "gradient_clip_algorithm", "accum
 CHOOSING = ("callbacks.best.monitor", "callbacks.rollout.count", "callbacks.rollout.every")
 """Settings that select the best weights."""
 SMOKE = "budget=smoke only checks the installation; the default budget trains the model"
-"""Finding below the table of a run with budget=smoke."""
+"""Finding below the table of a run with budget=smoke, unless more epochs are requested."""
+FEW = 5
+"""Number of epochs of budget=smoke."""
 
 
 def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] | None = None) -> Prepared:
@@ -66,7 +68,7 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
     model = build_model(values, made, data)
     trainer = build_trainer(made, folder)
     data.feed(trainer)
-    caveat = SMOKE if "budget=smoke" in asked_for(asked) else ""
+    caveat = SMOKE if "budget=smoke" in asked_for(asked) and cfg.trainer.max_epochs <= FEW else ""
     prepared = Prepared(
         label=cfg.label,
         seed=cfg.seed,
@@ -174,4 +176,7 @@ def searched(values: dict[str, Any]) -> dict[str, Any]:
     """Return the keys varied by a search, for TensorBoard's comparison of runs."""
     groups = {name: values[name] for name in ("model", "optimizer", "scheduler") if values[name]}
     amounts = {"window": values["window"], "batch_size": values["data"]["batch_size"]}
+    amounts |= {f"data.{key}": values["data"].get(key) for key in ("noise", "trajectories")}
+    amounts |= {"forces": ", ".join(values["model"].get("forces") or ()) or None}
+    amounts = {key: value for key, value in amounts.items() if value is not None}
     return {**groups, **amounts, "epochs": values["trainer"]["max_epochs"], "seed": values["seed"]}

@@ -40,7 +40,6 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
     """
     findings = open_loop(case)
     findings.faults += [row.note for row in findings.rows if row.note]
-    findings.tell(case.caveat)
     findings.tell(case.remark, findings.highlights)
     with stage("evaluation"):
         value = add_tests(case, findings, figures=figures)
@@ -50,6 +49,8 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
         add_plugin(case, name, plugin, findings, figures=figures)
     noisy = case.fitted is not None
     told = verdict(value, findings.faults, findings.highlights, noisy=noisy, caveat=case.caveat)
+    if case.caveat in told:
+        findings.tell(case.caveat)
     findings.numbers["verdict"] = {"findings": told}
     return findings
 

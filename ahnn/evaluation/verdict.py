@@ -27,9 +27,12 @@ def verdict(
         faults: findings that need a remedy, the most severe first.
         others: findings on its standard deviations, and findings of plugins.
         noisy: whether the error includes measurement noise, which is no fault of the model.
-        caveat: reason why the training cannot have produced a good model; "" without one.
+        caveat: reason why the training cannot have produced a good model; "" without one. A good model
+            disproves it.
     """
     head = worth.sentence()
+    if not (worth.worthless or worth.below_linear or faults) and grade(worth, noisy=noisy) == "good":
+        caveat = ""
     if not worth.worthless:
         words = ["not good"] if faults else [] if worth.below_linear else [grade(worth, noisy=noisy)]
         head = f"{', '.join([*words, *BELOW * worth.below_linear])}: {head}"

@@ -60,6 +60,24 @@ def test_general_advice_is_given_only_where_no_finding_says_more():
     assert "Train longer" not in verdict(Worth(1.2, 1.1, None), [], [], noisy=False, caveat="budget=smoke")[0]
 
 
+def test_a_good_model_disproves_a_caveat():
+    given = {"noisy": False, "caveat": "budget=smoke only"}
+    assert verdict(Worth(1e-4, 1.1, None), [], [], **given)[1:] == []
+    assert verdict(Worth(1e-4, 1.1, None), ["a"], [], **given)[1:] == ["budget=smoke only", "a"]
+    assert verdict(Worth(0.05, 1.1, None), [], [], **given)[1:] == ["budget=smoke only"]
+
+
+def test_a_longer_smoke_run_is_a_training_and_tensorboard_compares_its_noise_and_forces(tmp_path):
+    texts = ["system=pendulum", "budget=smoke"]
+    epochs = prepare(compose_job(texts, tmp_path), None, texts).trainer.max_epochs
+    longer = [*texts, f"trainer.max_epochs={epochs + 1}", "data.noise=0.01", "recipe=measurements"]
+    longer += ["forces=friction", "data.trajectories=21"]
+    found = prepare(compose_job(longer, tmp_path), None, longer).assessment
+    assert found.caveat == ""
+    expected = {"data.noise": 0.01, "forces": "friction", "data.trajectories": 21}
+    assert found.searched.items() >= expected.items()
+
+
 @pytest.mark.parametrize("asked", [["budget=smoke"], []])
 def test_a_smoke_run_says_that_it_only_checks_the_installation(tmp_path, asked):
     texts = ["system=pendulum", *asked]
