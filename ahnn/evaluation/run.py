@@ -11,6 +11,7 @@ from ahnn.evaluation.bands import band_figure, banded
 from ahnn.evaluation.baselines import Worth, worth
 from ahnn.evaluation.case import Case, EvaluationPlugin, Findings, Row
 from ahnn.evaluation.conservation import energy_trend, time_test
+from ahnn.evaluation.constant_units import constant_unit
 from ahnn.evaluation.force_bound import force_bound
 from ahnn.evaluation.forecast import HALF, Forecast, forecast
 from ahnn.evaluation.friction_test import friction_test
@@ -161,12 +162,16 @@ def add_worth(case: Case, findings: Findings) -> Worth:
 
 
 def add_constants(case: Case, findings: Findings) -> None:
-    """Add learned physical constants, with standard deviations if available."""
+    """Add learned physical constants, with standard deviations if available, and units where known."""
     spread = None if case.uncertainty is None else case.uncertainty.spread
     flow: Any = case.flow
     if isinstance(flow, nn.Module) and (found := learned_constants(cast(Any, flow), spread)):
-        findings.tell(f"learned: {', '.join(map(str, found))}", findings.highlights)
+        units = {one.name: constant_unit(one.name, case.space) for one in found}
+        told = (" ".join(filter(None, (str(one), units[one.name]))) for one in found)
+        findings.tell(f"learned: {', '.join(told)}", findings.highlights)
         findings.numbers["constants"] = {one.name: one.numbers() for one in found}
+        if known := {name: unit for name, unit in units.items() if unit}:
+            findings.numbers["constant_units"] = known
 
 
 def add_noise(case: Case, measured: Segment, findings: Findings) -> None:
