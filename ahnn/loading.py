@@ -62,6 +62,19 @@ def load(run: str | Path, ckpt: str = "best") -> Run:
     return replace(trained, dynamics=dynamics.eval().requires_grad_(False), uncertainty=uncertainty)
 
 
+def unfinished_training(folder: Path) -> str:
+    """Return a remark on a run whose training was interrupted, before its results; "" for others.
+
+    A training leaves its last weights from its first epoch on, and `metrics.json` at the end.
+    """
+    if not (folder / "checkpoints" / "last.ckpt").exists() or (folder / "metrics.json").exists():
+        return ""
+    return (
+        f"run {folder}: the training was not finished, so its weights are preliminary and carry no "
+        f"uncertainty. Resume it: repeat its command with run={folder} ckpt=last"
+    )
+
+
 @cache
 def warn_once(text: str) -> None:
     """Log a warning, once in a process: a command may load a run several times."""

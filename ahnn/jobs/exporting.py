@@ -8,6 +8,7 @@ from pathlib import Path
 from ahnn.evaluation.terminal import show
 from ahnn.graphs import write_export
 from ahnn.jobs.named import named_runs
+from ahnn.loading import unfinished_training, warn_once
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,5 +28,7 @@ def export(asked: ExportRequest) -> None:
         UserError: a missing run, one that cannot be exported, or an existing folder.
     """
     (run,) = named_runs(asked.run, asked.pretrained, asked.ckpt)
+    if told := unfinished_training(run.folder):
+        warn_once(told)
     files = write_export(run, Path(asked.output))
     show(f"{run.folder.name}: {', '.join(files)} in {asked.output}")

@@ -21,6 +21,7 @@ from ahnn.evaluation.terminal import show
 from ahnn.files import write_atomically
 from ahnn.jobs.asked_starts import asked_starts
 from ahnn.jobs.named import named_runs
+from ahnn.loading import unfinished_training, warn_once
 from ahnn.manifest import require_own
 from ahnn.measurements import noise_deviations, observe, reading
 from ahnn.measurements.station_file import BiasedStation, read_stations
@@ -92,6 +93,8 @@ def plan(asked: PlanRequest) -> None:
         UserError: a missing run, invalid starts, stations or durations, or nothing to choose from.
     """
     (run,) = named_runs(asked.run, asked.pretrained, asked.ckpt)
+    if told := unfinished_training(run.folder):
+        warn_once(told)
     if asked.output is not None:
         require_own([Path(asked.output)], "output")
     begin = asked_starts(asked.start, asked.start_sd, asked.epoch, asked.frame, run.space)

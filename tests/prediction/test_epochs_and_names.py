@@ -63,3 +63,30 @@ def test_identifier_and_name_of_an_object_pass_from_file_to_file():
             assert call("ahnn.predict", run, "start=ahead.csv", *SHORT, "output=again.oem") == 0
             (found,) = read_oem("again.oem")
             assert (found.object_id, found.object_name) == (ident, name)
+
+
+def test_weights_of_an_interrupted_training_are_called_preliminary(caplog):
+    """By each command that uses them, with the way to resume; the sidecar of a prediction says so too."""
+    run = framed(Path("run"), "EME2000, EARTH, UTC, from 2024-03-01T12:00:00.000")
+    asked = [f"run={run}", f"start={STATE.tolist()}", *SHORT, "output=ahead.csv"]
+    Path("fixes.csv").write_text("t,x,y,z\n600,0,-3145,-6173\n")
+    stream = [asked[0], "measurements=fixes.csv", "+sensors.fix.model=position", "+sensors.fix.sd=[1e4]"]
+    stream += [asked[1], "start_sd=[1,0.001]", "time=0"]
+    said = "run run: the training was not finished"
+    for k, unfinished in enumerate((False, True)):
+        if unfinished:
+            (run / "metrics.json").unlink(missing_ok=True)
+            (run / "checkpoints").mkdir()
+            (run / "checkpoints" / "last.ckpt").touch()
+        caplog.clear()
+        assert call("ahnn.predict", *asked) == 0
+        assert (said in caplog.text) == unfinished
+        assert ("Resume it: repeat its command with run=run ckpt=last" in caplog.text) == unfinished
+        assert ("the training was not finished" in Path("ahead.yaml").read_text()) == unfinished
+        caplog.clear()
+        assert call("ahnn.assimilate", *stream, f"output=track{k}.csv") == 0
+        assert (said in caplog.text) == unfinished
+    (run / "metrics.json").touch()
+    caplog.clear()
+    assert call("ahnn.predict", *asked) == 0
+    assert said not in caplog.text
