@@ -16,4 +16,4 @@ states = np.array([[0.0, -3145.0, -6173.0, 10.0, 0.0, 0.0]])  # in the units of 
 for _ in range(60):
     (states,) = flow.run(None, {"states": states})
 names = about["space"]["components"]
-print(60 * about["dt"], about["space"]["units"][0], dict(zip(names, states[0].tolist(), strict=True)))
+print(60 * about["dt"], about["space"]["units"]["time"], dict(zip(names, states[0].tolist(), strict=True)))

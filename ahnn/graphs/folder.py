@@ -19,7 +19,7 @@ from ahnn.progress import track
 from ahnn.runs import Run
 from ahnn.stored import about_space
 
-FORMAT = 1
+FORMAT = 2
 """Version of model.json, increased when its meaning changes."""
 ABOUT, WEIGHTS = "model.json", "weights.safetensors"
 SHAPES = {"flow": ["batch", "components"], "energy": ["batch"]}
@@ -56,7 +56,7 @@ def about(run: Run, parts: dict[str, nn.Module]) -> dict[str, Any]:
     clock = {"name": CLOCK, "type": "float64", "shape": ["batch", "clock"], "components": known}
     return {
         "format": FORMAT,
-        "space": about_space(run.space),
+        "space": about_space(run.space) | {"units": run.space.units._asdict()},
         "dt": run.dt,
         "dynamics": run.dynamics.spec,
         "assumes": run.dynamics.assumes,

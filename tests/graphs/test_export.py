@@ -118,8 +118,9 @@ def test_a_folder_has_all_that_runs_the_model_elsewhere(tmp_path, capsys):
     said = capsys.readouterr().out
     assert all(word in said for word in listed)
     run, about = ahnn.load(name), json.loads((folder / "model.json").read_text())
-    assert about["space"] == about_space(run.space)
-    assert about["format"] == 1
+    units = {"time": "s", "position": "km", "velocity": "km/s", "energy": "km²/s²"}
+    assert about["space"] == about_space(run.space) | {"units": units}
+    assert about["format"] == 2
     assert about["dt"] == run.dt
     assert about["provenance"]["ahnn"] == ahnn.__version__
     state = load_file(folder / "weights.safetensors")
