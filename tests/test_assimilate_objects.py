@@ -59,7 +59,7 @@ def rows_of(name):
 @pytest.mark.usefixtures("place")
 def test_objects_are_as_in_commands_of_their_own_and_their_states_are_starts(caplog):
     assert assimilate(*GIVEN, "output=track.csv", "states=last.csv", "every=50") == 0
-    assert "121 lines: 120 taken" in caplog.messages
+    assert "120 lines: 120 taken" in caplog.messages
     assert "4 objects, 0 of them lost" in caplog.messages
     rows = [row for row in rows_of("track.csv") if row["object"] == "S2"]
     lines = Path("fixes.csv").read_text().splitlines()
@@ -79,7 +79,7 @@ def test_objects_are_as_in_commands_of_their_own_and_their_states_are_starts(cap
         assert call("ahnn.predict", *asked) == 0
         caplog.clear()
         assert assimilate(*GIVEN[:3], f"start={start}.csv", f"output=again_{start}.csv") == 0
-        assert "121 lines: 116 late, 4 taken" in caplog.messages  # what was measured is before these starts
+        assert "120 lines: 116 late, 4 taken" in caplog.messages  # what was measured is before these starts
         assert "111 more lines late, up to line 117" in caplog.messages
     one, other = (rows_of(f"from_{start}.csv") for start in ("last", "track"))
     assert len(one) == 2 * COUNT
@@ -123,7 +123,8 @@ def test_a_killed_command_goes_on_with_the_same_bytes():
 
 
 MISTAKES = {
-    "objects=name": "measurements: expected a header with time and name, x, y, z; received 'sat'",
+    "objects=satt": "objects: expected the name of a column; received 'satt'; did you mean 'sat'?",
+    "objects=body": "objects: expected the name of a column; received 'body'; it takes time, sat, x, y, z",
     "objects=time": "objects: expected a column other than",
     "watch=true": "watch: expected none with objects=sat; received one",
     "oem=a.oem": "oem: expected none with objects=sat; received one",

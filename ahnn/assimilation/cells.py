@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
+
+from ahnn.arguments import nearest
+from ahnn.errors import UserError
 
 MISSING = frozenset(("", "nan", "na", "null", "none"))
 
@@ -35,3 +39,11 @@ def number(cell: Any, name: str) -> float:
         message = f"{name}: expected a finite number; received {str(cell)[:40]!r}"
         raise BadLine(message)
     return value
+
+
+def require_object_column(objects: str, cells: Sequence[str]) -> None:
+    """Raise UserError if the cells of a header lack the column that `objects=` names, if it names one."""
+    names = [cell.partition("[")[0].strip() for cell in cells]
+    if objects and objects not in names:
+        message = f"objects: expected the name of a column; received {objects!r}{nearest(objects, names)}"
+        raise UserError(message)

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ahnn.arguments import nearest
-from ahnn.assimilation.cells import BadLine, is_missing, number
+from ahnn.assimilation.cells import BadLine, is_missing, number, require_object_column
 from ahnn.assimilation.instrument_reading import Reading
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.assimilation.stream_sensor import StreamSensor
@@ -76,7 +76,9 @@ class Layout:
         if not first.lstrip().startswith("{"):
             self.delimiter = max(",;\t", key=first.count)
             try:
-                self.names = [self._name(cell) for cell in self._split(first)]
+                cells = self._split(first)
+                require_object_column(objects, cells)
+                self.names = [self._name(cell) for cell in cells]
             except BadLine as error:
                 message = f"measurements: expected a header; received {first[:40]!r} ({error})"
                 raise UserError(message) from error

@@ -65,7 +65,7 @@ def assimilate(stream: Stream) -> None:
             session.run(told_to(watchers) if watchers else None)
     if filtering.controls.known is not None:
         warn_of_the_end(options.controls, filtering.controls.known, filtering.window.time)
-    log.info("%s lines: %s", f"{session.counted:,}", said(session.counts))
+    log.info("%s lines: %s", f"{session.counts.total():,}", said(session.counts))
     if verdict := session.verdict():
         log.info(verdict)
     for remark in session.of_sensors():

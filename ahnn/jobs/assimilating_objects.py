@@ -36,13 +36,11 @@ class CatalogueOutcome(NamedTuple):
 
     Attributes:
         tally: outcomes of the lines.
-        lines: number of lines read.
         last: final states.
         lost: number of lost objects.
     """
 
     tally: StreamTally
-    lines: int
     last: Starts
     lost: int
 
@@ -86,7 +84,7 @@ def follow_objects(stream: Stream, catalogue: Catalogue, *, judged: bool = True)
         gc.freeze()
         session.run(judged=judged)
     tally = StreamTally.joined([session])
-    return CatalogueOutcome(tally, session.counted, _last(stream, catalogue), len(catalogue.lost))
+    return CatalogueOutcome(tally, _last(stream, catalogue), len(catalogue.lost))
 
 
 def rows_of(stream: Stream, catalogue: Catalogue) -> CatalogueRows:
@@ -106,7 +104,7 @@ def conclude(stream: Stream, found: CatalogueOutcome) -> None:
         TrainingError: most lines were rejected.
     """
     tally, last = found.tally, found.last
-    log.info("%s lines: %s", f"{found.lines:,}", said(tally.counts))
+    log.info("%s lines: %s", f"{tally.counts.total():,}", said(tally.counts))
     log.info("%s objects, %d of them lost", f"{len(last.names):,}", found.lost)
     if verdict := tally.verdict():
         log.info(verdict)

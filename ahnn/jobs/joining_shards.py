@@ -72,8 +72,7 @@ def join(
         sidecar.write(path, rows.said)
     order = catalogue.names or (merged.objects() if options.states else ())
     last = together([one.last for one in found], {name: k for k, name in enumerate(order)})
-    lines = max(one.lines for one in found)
-    conclude(stream, CatalogueOutcome(tally, lines, last, sum(one.lost for one in found)))
+    conclude(stream, CatalogueOutcome(tally, last, sum(one.lost for one in found)))
 
 
 def together(parts: Sequence[Starts], order: dict[str, int]) -> Starts:
