@@ -8,11 +8,13 @@ import signal
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from entry import call, forked
 
 import ahnn
+from ahnn.data.files import Ephemeris, instant, read_oem, write_oem
 
 RUN = ahnn.load("molniya_mechanical")
 COUNT, FIXES = 4, 30
@@ -201,5 +203,24 @@ def test_measurements_in_another_unit_are_suspected_by_their_factor(place, objec
     assert assimilate("measurements=wrong.csv", *given, "output=out.csv", "plugins.ukf.patience=1000") == 3
     (line,) = [text for text in capsys.readouterr().err.splitlines() if "usable line" in text]
     assert "rejected. Check the units of the measurements, or set start=" in line
-    question = f". The measured x, y, z are about {said} times the predicted value: is the unit right?"
+    question = f". The measured x, y, z are about {said} times the predicted values: is the unit right?"
     assert line.endswith(question) == (said is not None)
+
+
+@pytest.mark.usefixtures("place")
+def test_names_of_many_objects_pass_from_their_starts_to_their_states():
+    about = "EARTH", "EME2000", "UTC", instant("2024-03-01T12:00:00", utc=True), np.zeros(1)
+    starts = [Ephemeris(f"S{b}", f"NAME {b}", *about, STARTS[b : b + 1].numpy()) for b in range(COUNT)]
+    write_oem("starts.oem", starts)
+    given = [*GIVEN[:3], "start=starts.oem", "start_sd=[0.1,1e-4]", "epoch=2024-03-01T12:00:00"]
+    for shards in ([], ["workers=2", "state=parts"]):
+        made = [f"output=track{len(shards)}.csv", f"states=last{len(shards)}.oem"]
+        assert assimilate(*given, *made, *shards) == 0
+        found = read_oem(f"last{len(shards)}.oem")
+        assert [(one.object_id, one.object_name) for one in found] == [
+            (f"S{b}", f"NAME {b}") for b in range(COUNT)
+        ]
+        assert "objects:\n  S0: NAME 0\n" in Path(f"track{len(shards)}.yaml").read_text()
+    asked = [COMMAND[0], "start=track0.csv", "duration=60", "output=ahead.oem", "frame=[EME2000,EARTH,UTC]"]
+    assert call("ahnn.predict", *asked) == 0
+    assert [one.object_name for one in read_oem("ahead.oem")] == [f"NAME {b}" for b in range(COUNT)]

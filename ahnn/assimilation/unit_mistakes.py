@@ -57,6 +57,6 @@ class RejectedRatios:
                 found.setdefault(near[0], {})[name] = None
         return "; ".join(
             f"the measured {', '.join(names)} {'is' if len(names) == 1 else 'are'} about {factor} times the "
-            "predicted value: is the unit right?"
+            f"predicted value{'s' * (len(names) > 1)}: is the unit right?"
             for factor, names in found.items()
         )
