@@ -102,8 +102,8 @@ def compiled_library(
 @functools.cache
 def _tell_of_no_compiler(program: str) -> None:
     logger.warning(
-        "no C compiler: expected a program %s; received none. Small networks, gravity, the unscented filter "
-        "and long outputs are computed without their C libraries, more slowly",
+        "no C compiler: expected a program %s; received none. Small networks, gravity, springs, the "
+        "unscented filter and long outputs are computed without their C libraries, more slowly",
         program,
     )
 

@@ -36,6 +36,10 @@ class GaussLegendre4(Integrator):
     name: str = "gl4"
     order: int = 4
 
+    def round_off(self, dtype: torch.dtype) -> float:
+        """Return the relative change at or below which a change that does not shrink is rounding."""
+        return 64 * torch.finfo(dtype).eps
+
     def increment(self, field: VectorField, x: Tensor, dt: TimeStep) -> Tensor:
         """Return the increment of one step, shape (..., D).
 
@@ -48,7 +52,7 @@ class GaussLegendre4(Integrator):
         h = column(dt)
         k1 = k2 = field(x)
         size = torch.maximum(x.abs(), (h * k1).abs())
-        round_off = 64 * torch.finfo(x.dtype).eps
+        round_off = self.round_off(x.dtype)
         change = previous = torch.full_like(x[..., 0], torch.inf)
         waiting = torch.ones_like(change, dtype=torch.bool)
         for _ in range(self.max_iterations):

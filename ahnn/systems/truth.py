@@ -94,7 +94,7 @@ def _trial_error(system: System, count: int) -> float:
     steps = min(whole, max(4, STEPS // count))
     times = torch.arange(steps + 1, dtype=torch.float64) * system.dt
     clock = Clock.of(times.expand(TRIED, -1), system.signal(times, TRIED, generator), system.linear)
-    flows = [SubstepsFlow(system, n) for n in (count, 2 * count)]
+    flows = [system.compiled(SubstepsFlow(system, n), system.dt / n) for n in (count, 2 * count)]
     coarse, fine = (rollout(flow, start, system.dt, steps + 1, clock=clock) for flow in flows)
     x, y, size = coarse[:, -1], fine[:, -1], fine.abs().amax(1)
     blocks = zip((x - y).chunk(2, dim=-1), size.chunk(2, dim=-1), strict=True)

@@ -10,7 +10,7 @@ import torch
 from helpers import SPRING
 
 from ahnn.errors import UserError
-from ahnn.systems import truth
+from ahnn.systems import spring_steps, truth
 
 STEPS = 500
 SYSTEM = dataclasses.replace(SPRING, name="drifting", dt=0.5, steps=STEPS)
@@ -34,6 +34,7 @@ def drifting(monkeypatch):
         known = {SYSTEM.integrator: SimpleNamespace(step=step)}
         monkeypatch.setattr(truth, "INTEGRATORS", known)
         monkeypatch.setattr(truth, "_KNOWN", {})
+        monkeypatch.setattr(spring_steps, "library", lambda: None)
         return steps
 
     return install
