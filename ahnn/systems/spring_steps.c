@@ -31,7 +31,8 @@ static inline double shifted(double h, double new1, double k1, double new2, doub
 }
 
 /* Add one step to x; return 1, with x unchanged, if a value is not finite or no convergence is reached. */
-static long step(double stiffness, double mass, double h, double tolerance, double round_off, long most, state *x) {
+static long step(double stiffness, double mass, double h, double tolerance, double round_off, long most,
+                 state *x) {
     const double a12 = 0.25 - sqrt(3.0) / 6.0, a21 = 0.25 + sqrt(3.0) / 6.0;
     state k1 = field(stiffness, mass, *x), k2 = k1;
     double size_q = fmax(fabs(x->q), fabs(h * k1.q)), size_p = fmax(fabs(x->p), fabs(h * k1.p));
@@ -39,7 +40,8 @@ static long step(double stiffness, double mass, double h, double tolerance, doub
     for (long sweep = 0; sweep < most; sweep++) {
         state new1 = field(stiffness, mass, stage(*x, h, 0.25, k1, a12, k2));
         state new2 = field(stiffness, mass, stage(*x, h, a21, k1, 0.25, k2));
-        double shift_q = shifted(h, new1.q, k1.q, new2.q, k2.q), shift_p = shifted(h, new1.p, k1.p, new2.p, k2.p);
+        double shift_q = shifted(h, new1.q, k1.q, new2.q, k2.q);
+        double shift_p = shifted(h, new1.p, k1.p, new2.p, k2.p);
         double of_q, of_p, change;
         k1 = new1, k2 = new2;
         size_q = fmax(size_q, fabs(h * k1.q)), size_p = fmax(size_p, fabs(h * k1.p));
