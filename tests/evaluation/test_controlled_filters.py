@@ -11,8 +11,8 @@ from motions.pushed_spring import PushedSpring
 
 from ahnn.systems import exact_flow
 
-SYSTEM = PushedSpring(name="pushed", dt=0.1, steps=40)
-FILTER = ["cadence=2", "measurement_sd=1e-3", "process_noise=[1e-7,1e-7]", "start_sd=[0.03,0.03]"]
+SYSTEM = PushedSpring(name="pushed", dt=0.05, steps=80)
+FILTER = ["cadence=4", "measurement_sd=1e-3", "process_noise=[1e-7,1e-7]", "start_sd=[0.03,0.03]"]
 OPTIONS = [*FILTER, "smoother=true", "least_squares=true"]
 
 
