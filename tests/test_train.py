@@ -97,7 +97,7 @@ MISTAKES = {
     "negative seed": (["seed=-1"], ["-1"]),
     "unknown choice": (["model.hamiltonian=genric"], ["genric", "generic"]),
     "unknown integrator": (["integrator.name=rk5"], ["rk5", "rk4"]),
-    "window too long": (["window=61"], ["windows of 1 to 60 steps", "received 61"]),
+    "window too long": (["window=61"], ["windows of 1 to 60 steps", "received window=61"]),
     "no window": (["window=0"], ["window: expected int >= 1; received 0"]),
     "empty split": (["data.trajectories=2"], ["train, val, test; received 2 trajectories"]),
     "reversed range": (["system.q0=[1.0,-1.0]"], ["q0", "[1.0, -1.0]"]),
