@@ -11,7 +11,8 @@ from cases import Learned, drop, make_case
 
 from ahnn.evaluation import evaluate
 from ahnn.evaluation.bands import NORMAL, banded, norms
-from ahnn.evaluation.forecast import held, imagined, right_bands
+from ahnn.evaluation.forecast import right_bands
+from ahnn.evaluation.forecast_variances import held, imagined
 from ahnn.evaluation.independent_directions import DirectionTest, direction_test, ratio_interval
 from ahnn.rollouts import rollout
 from ahnn.uncertainty import Uncertainty
