@@ -31,7 +31,7 @@ CELLS = 4e6
 """Size limit of the largest sensitivity tensor; longer paths are propagated in segments."""
 
 INTERVALS = 32
-"""Minimum number of segments of a path with covariances: the index of nonlinearity is known at their ends."""
+"""Approximate number of intervals of a path, at whose ends the index of nonlinearity is calculated."""
 
 CURVED = 10.0
 """Safety factor of the criterion by which no index of nonlinearity is calculated."""
@@ -98,6 +98,7 @@ def predicted(
     require_times(times)
     require_finite(start)
     require_room(len(start), start.shape[1], times, longest)
+    require_memory("start", "sensitivities of states", 4.0 * INTERVALS * start.numel() * known.columns)
     rows, index = _followed(FollowedPath(dynamics, known), start, times, longest, description, clock)
     return Prediction(times, *rows, index)
 
@@ -148,19 +149,22 @@ def _followed(
     stretch = max(1, min(int(CELLS // cells), TOGETHER // len(start), fewest))
     along = None if clock is None else clock.along(lengths, steps.ends)
     parts = list(torch.arange(len(lengths)).split(stretch))
+    every = -(-len(parts) // INTERVALS)
     rows, nodes = [paths.begin(start)], [(paths.x, paths.moved)]
-    for part in track(parts, description, len(parts)) if description else parts:
+    for k, part in enumerate(track(parts, description, len(parts)) if description else parts, start=1):
         own = None if along is None else along.steps(part)
         rows.append(paths.follow(lengths[part], own).at(wanted[1:][part]))
-        nodes.append((paths.x, paths.moved))
+        if k % every == 0 or k == len(parts):
+            nodes.append((paths.x, paths.moved))
     if paths.factors or not paths.known.columns:
         return PathRows.joined(rows), None
+    between = torch.arange(len(lengths)).split(stretch * every)
 
     def flow(k: int, x: Tensor) -> Tensor:
-        return paths.end(x, lengths[parts[k]], None if along is None else along.steps(parts[k]))
+        return paths.end(x, lengths[between[k]], None if along is None else along.steps(between[k]))
 
     index = node_nonlinearity(flow, *(torch.stack(column, dim=1) for column in zip(*nodes, strict=True)))
-    return PathRows.joined(rows), index[:, -(-steps.ends // stretch)]
+    return PathRows.joined(rows), index[:, -(-steps.ends // (stretch * every))]
 
 
 def node_nonlinearity(flow: IntervalFlow, states: Tensor, columns: Tensor) -> Tensor:

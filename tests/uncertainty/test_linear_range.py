@@ -73,3 +73,16 @@ def test_a_prediction_leaves_the_linear_range_where_its_bands_are_wide():
     assert narrow.nonlinearity.shape == (2, len(TIMES))
     assert torch.equal(together([narrow, wide]).nonlinearity, wide.nonlinearity)
     assert predicted(Swing(), start, TIMES, 0.1).nonlinearity is None
+
+
+@torch.no_grad()
+def test_segments_of_a_long_path_do_not_change_the_index(monkeypatch):
+    start, times = torch.tensor([[1.5, 0.3]], **DOUBLE), torch.linspace(0, 10, 101, **DOUBLE)
+    known = Knowledge(start=0.05 * torch.eye(2, **DOUBLE))
+    whole = predicted(Swing(), start, times, 0.1, known).nonlinearity
+    monkeypatch.setattr("ahnn.prediction.propagation.CELLS", 1)
+    stacked = torch.stack
+    nodes = []
+    monkeypatch.setattr(torch, "stack", lambda parts, dim=0: nodes.append(len(parts)) or stacked(parts, dim))
+    close(predicted(Swing(), start, times, 0.1, known).nonlinearity, whole, 1e-9)
+    assert max(nodes) < 40  # columns of one node in four are kept
