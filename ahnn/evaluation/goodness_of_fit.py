@@ -21,6 +21,8 @@ from ahnn.shooting.robust import ROBUST, Robust, RobustName, loss_of
 
 NORMAL95 = 1.959963984540054
 """Half-width of the central 95 % of a normal distribution, in standard deviations."""
+PARTIAL = 4
+"""A model that does not fit one in so many trajectories is too poor for a diagnosis of the noise."""
 OUTLYING = 6.0
 """Number of standard deviations beyond which a value is an outlier, if training used a robust loss."""
 
@@ -53,6 +55,11 @@ class Explained(NamedTuple):
         """Whether residuals are consistent with pure noise."""
         within = self.band[0] <= self.chi_square <= self.band[1]
         return within and abs(self.correlation) <= self.correlation_band and not self.lost
+
+    @property
+    def is_partial(self) -> bool:
+        """Whether so many trajectories cannot be fitted that residuals do not show the noise."""
+        return self.lost * PARTIAL >= self.trajectories
 
     def sentence(self) -> str:
         """Return the finding as a note under the table."""

@@ -27,6 +27,11 @@ from ahnn.progress import stage
 from ahnn.rollouts import clock_of, rollout
 from ahnn.uncertainty import Uncertainty, learned_constants
 
+UNJUDGED = (
+    "the noise is not judged, since the model does not fit all trajectories: train longer, or choose a more "
+    "general model"
+)
+
 
 def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bool = True) -> Findings:
     """Return the merged findings of the open loop and of each plugin.
@@ -119,7 +124,8 @@ def add_goodness(case: Case, measured: Segment, findings: Findings) -> None:
         findings.faults[:0] = filter(None, [case.shortfall])
         findings.tell(explained.sentence(), findings.faults)
         show("tests of the residuals")
-        said = remedy(flow, measured, case.robust)
+        poor = explained.is_partial and case.robust != "none"  # and without one, outliers may be the cause
+        said = UNJUDGED if poor else remedy(flow, measured, case.robust)
         later = f"if it remains after a longer training: {said}" if said and case.shortfall else said
         findings.tell(later, findings.faults)
     findings.tell(invisible(flow, measured, case.noise), findings.highlights)

@@ -6,12 +6,13 @@ import dataclasses
 
 import pytest
 import torch
-from cases import SPRING, trajectories
+from cases import SPRING, Learned, make_case, trajectories
 from torch import nn
 
 from ahnn.data.segments import Segments
 from ahnn.data.sensor import Sensor
 from ahnn.evaluation.goodness_of_fit import explain, serial
+from ahnn.evaluation.run import UNJUDGED, evaluate
 from ahnn.integrators import INTEGRATORS
 
 
@@ -79,6 +80,8 @@ def test_gaps_are_no_residuals_and_what_is_not_met_is_counted():
     values[2] += 10 * torch.arange(values.shape[1]).sin().unsqueeze(-1)
     spoilt = explain(Spring(SPRING), batch._replace(values=values))
     assert (spoilt.lost, spoilt.trajectories) == (1, len(values))
+    assert not spoilt.is_partial
+    assert spoilt._replace(lost=len(values) // 2).is_partial
     assert not spoilt.consistent
     assert "not fitted" in spoilt.sentence()
 
@@ -98,3 +101,15 @@ def test_serial_correlation():
     found, pairs = serial(moved)
     assert found == pytest.approx(0.4, abs=0.01)
     assert pairs == 200 * 498
+
+
+@pytest.mark.parametrize("robust", ["none", "student"])
+def test_noise_is_not_judged_by_a_model_that_does_not_fit_half_of_the_trajectories(tmp_path, robust):
+    """Without a robust loss outliers may be the cause, and are named."""
+    batch = measured(count=12)
+    values = batch.values.clone()
+    values[::2] += 10 * torch.arange(values.shape[1]).sin().unsqueeze(-1)
+    case = make_case(tmp_path, measured=batch._replace(values=values), flow=Learned(SPRING.stiffness))
+    found = evaluate(dataclasses.replace(case, robust=robust), {}, figures=False).numbers
+    assert found["measurements"]["lost"] >= 3
+    assert (UNJUDGED in found["verdict"]["findings"]) == (robust == "student")

@@ -34,7 +34,9 @@ def test_the_line_of_a_prediction_names_its_first_epoch_and_what_is_not_stated(c
         said = "EME2000, EARTH, UTC, from 2024-03-01T12:20:00.000"
         zero = " (time zero 2024-03-01T12:00:00.000)" if start == "track.csv" else ""
         assert f"\n{said}{zero}\n" in capsys.readouterr().out
-        assert f"{said}{zero}" in Path("ahead.svg").read_text()
+        drawn = Path("ahead.svg").read_text()
+        assert f"{said} -->" in drawn
+        assert zero.strip() in drawn  # on a line of its own, since titles are narrow
     drawn = Path("pictures/innovations.svg").read_text()
     assert "EME2000, EARTH, UTC, time zero 2024-03-01T12:00:00.000" in drawn
 
