@@ -65,27 +65,13 @@ def shared() -> Iterator[None]:
         found.config_overrides = values
         return found
 
-    def begun(
-        self: ConfigLoaderImpl, defaults: list[ResultDefault], repo: IConfigRepository
-    ) -> list[ResultDefault]:
-        """Return the defaults with one element for the files of Hydra, which come first and seldom differ."""
-        count = 1 + [one.config_path for one in defaults].index("hydra/config")
-        first = ResultDefault(
-            package=" ".join(f"{one.config_path}@{one.package}" for one in defaults[:count])
-        )
-        key = _places(repo), first.config_path, first.package, first.primary
-        if key not in placed:
-            found = ConfigResult("shared", "", MERGE(self, defaults[:count], repo), {"package": None})
-            placed[key] = pickle.dumps(found)
-        return [first, *defaults[count:]]
-
     def merge_once(
         self: ConfigLoaderImpl, defaults: list[ResultDefault], repo: IConfigRepository
     ) -> DictConfig:
         if _places(repo) is None:
             return MERGE(self, defaults, repo)
         if id(defaults) not in merged:
-            made = MERGE(self, begun(self, defaults, repo), repo)
+            made = MERGE(self, _begun(self, defaults, repo, placed), repo)
             merged[id(defaults)] = defaults, pickle.dumps(made)  # keeps the list, and so its id
             return made
         return pickle.loads(merged[id(defaults)][1])
@@ -101,6 +87,22 @@ def shared() -> Iterator[None]:
 
     with _calls(read_once, choose_once, merge_once, place_once, _names_if_asked):
         yield
+
+
+def _begun(
+    self: ConfigLoaderImpl,
+    defaults: list[ResultDefault],
+    repo: IConfigRepository,
+    placed: dict[tuple[Any, ...], bytes],
+) -> list[ResultDefault]:
+    """Return the defaults with one element for the files of Hydra, which come first and seldom differ."""
+    count = 1 + [one.config_path for one in defaults].index("hydra/config")
+    first = ResultDefault(package=" ".join(f"{one.config_path}@{one.package}" for one in defaults[:count]))
+    key = _places(repo), first.config_path, first.package, first.primary
+    if key not in placed:
+        found = ConfigResult("shared", "", MERGE(self, defaults[:count], repo), {"package": None})
+        placed[key] = pickle.dumps(found)
+    return [first, *defaults[count:]]
 
 
 @contextmanager

@@ -221,14 +221,9 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
     if fit:
         found, line = fitted_start(run, sensors, asked.measurements, clock, asked.fitted)
         time = float(found.times)
-    deviations = None
-    if (
-        found.covariances is None
-        and not isinstance(asked.start, str)
-        and (truth := source().truth) is not None
-    ):
-        deviations = truth.deviations().tolist()
-
+    exact = found.covariances is None and not isinstance(asked.start, str)
+    truth = source().truth if exact else None
+    deviations = None if truth is None else truth.deviations().tolist()
     controls = None if asked.controls is None else known_controls(asked.controls, time, run)
 
     def case() -> Case:

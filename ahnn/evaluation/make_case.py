@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from ahnn.data.segments import whole
 from ahnn.dynamics import Dynamics, HasEnergy
 from ahnn.evaluation.case import Case, perturbations
 from ahnn.evaluation.goodness_of_fit import cleaned, fit_to, outlier_fraction
+from ahnn.evaluation.shortfall import shortfall
 from ahnn.measurements import Instrument, NoiseEstimate, Segment
 from ahnn.measurements.smoothing import located_at
 from ahnn.shooting.robust import RobustName
@@ -35,10 +37,9 @@ def make_case(
     uncertainty: Uncertainty | None = None,
     domain: Domain | None = None,
     robust: RobustName = "none",
-    noise: Any = None,
+    about: Mapping[str, Any] | None = None,
     remark: str = "",
     caveat: str = "",
-    shortfall: str = "",
 ) -> Case:
     """Build the case of learned dynamics on the test trajectories of their data.
 
@@ -51,17 +52,15 @@ def make_case(
         uncertainty: covariance of the parameters, if available.
         domain: representative training states, if available.
         robust: robust loss of the training.
-        noise: measurement noise from the metadata of the weights, if the training estimated it.
+        about: metadata of the weights, with the noise that the training estimated.
         remark: remark on the data, for the table.
         caveat: reason why the training cannot have produced a good model.
-        shortfall: remark on a training that ended far from its optimum.
     """
-    source, truth = data.source, data.source.truth
-    estimate = None if noise is None or data.sensor is None else read("noise", NoiseEstimate, noise)
+    source, truth, about = data.source, data.source.truth, about or {}
+    estimate = estimated_noise(data, about)
     measured = measured_test(data, estimate)
-    fitted, test, outliers = None, data["test"], 0.0
-    if measured is not None and isinstance(data.sensor, Recorded):
-        fitted, test, outliers = recorded_test(dynamics, measured, robust)
+    recorded = measured if isinstance(data.sensor, Recorded) else None
+    fitted, test, outliers = tests_of(dynamics, data, recorded, robust)
     return Case(
         label=label,
         assumes=dynamics.assumes,
@@ -86,17 +85,28 @@ def make_case(
         noise=estimate,
         remark=remark,
         caveat=caveat,
-        shortfall=shortfall,
+        shortfall=shortfall(about),
     )
 
 
-def recorded_test(
-    dynamics: Dynamics, measured: Segment, robust: RobustName
-) -> tuple[Tensor, Trajectories, float]:
-    """Return fitted initial states (B, D), test data without outliers, and the fraction of outliers."""
-    found, steps = fit_to(dynamics, measured, robust)
-    kept = cleaned(measured, found, steps, robust)
-    return found.starts, as_test(kept), outlier_fraction(measured, kept)
+def estimated_noise(data: SplitData, about: Mapping[str, Any]) -> NoiseEstimate | None:
+    """Return the noise of the sensor from the metadata of weights; None if no training estimated it."""
+    noise = None if data.sensor is None else about.get("noise")
+    return None if noise is None else read("noise", NoiseEstimate, noise)
+
+
+def tests_of(
+    dynamics: Dynamics, data: SplitData, recorded: Segment | None, robust: RobustName
+) -> tuple[Tensor | None, Trajectories, float]:
+    """Return fitted initial states (B, D), test data without outliers, and the fraction of outliers.
+
+    Without recorded measurements there are no fitted states, and the test data are those of the split.
+    """
+    if recorded is None:
+        return None, data["test"], 0.0
+    found, steps = fit_to(dynamics, recorded, robust)
+    kept = cleaned(recorded, found, steps, robust)
+    return found.starts, as_test(kept), outlier_fraction(recorded, kept)
 
 
 def learned_from(data: SplitData, noise: NoiseEstimate | None) -> Segment:

@@ -18,7 +18,6 @@ from ahnn.evaluation.case import Case
 from ahnn.evaluation.make_case import make_case
 from ahnn.evaluation.results import FILE, load_results
 from ahnn.evaluation.run import band_tests
-from ahnn.evaluation.shortfall import shortfall
 from ahnn.evaluation.sinks import TensorBoardSink
 from ahnn.jobs.prepared import Prepared
 from ahnn.loading import Run, load, made, weights_path
@@ -117,7 +116,7 @@ def case_of(prepared: Prepared, run: Run) -> Case:
     plan = prepared.assessment
     named = {"label": prepared.label, "seed": plan.seed, "folder": prepared.folder, "domain": run.domain}
     learned: dict[str, Any] = {"uncertainty": run.uncertainty, "robust": prepared.robust}
-    learned |= {"noise": run.about.get("noise"), "caveat": plan.caveat, "shortfall": shortfall(run.about)}
+    learned |= {"about": run.about, "caveat": plan.caveat}
     return make_case(run.dynamics, prepared.data.splits, **learned, **named)
 
 

@@ -14,7 +14,6 @@ from ahnn.data.splits import SAME
 from ahnn.errors import UserError
 from ahnn.evaluation import EvaluationPlugin, evaluation_folder, load_results, report
 from ahnn.evaluation.make_case import make_case
-from ahnn.evaluation.shortfall import shortfall
 from ahnn.evaluation.sinks import TensorBoardSink
 from ahnn.evaluation.sinks.board import EventBoard
 from ahnn.loading import weights_path
@@ -59,9 +58,7 @@ def evaluate(asked: Reevaluation) -> None:
     remark = "" if note == SAME else f"test data: {note}"
     training = load_results(run.folder).training if (run.folder / "metrics.json").exists() else {}
     learned = {"uncertainty": run.uncertainty, "domain": run.domain, "robust": robust}
-    learned["noise"] = run.about.get("noise")
-    named = {"label": asked.label, "seed": asked.seed, "remark": remark}
-    named["shortfall"] = shortfall(run.about)
+    named = {"label": asked.label, "seed": asked.seed, "remark": remark, "about": run.about}
     if remark:
         log.warning(remark)
     last = asked.ckpt == "best" and weights_path(run.folder).stem == "last"

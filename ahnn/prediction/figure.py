@@ -50,5 +50,5 @@ def prediction_figure(prediction: Prediction, space: Space, title: str, about: s
     style.label_time(panels[-1], style.Axis(time, space.units.time))
     panels[-1].set_xlabel(f"time after the start [{space.units.time}]")
     title = title if prediction.deviations is None else f"{title}, with {SIGMAS} sigma"
-    panels[0].set_title(f"{title}\n{about}".replace(" (time zero", "\n(time zero").rstrip())
+    panels[0].set_title(f"{title}\n{about}".rstrip())
     return figure

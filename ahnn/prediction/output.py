@@ -96,5 +96,6 @@ def draw(path: Path, prediction: Prediction, starts: Starts, space: Space, title
     from ahnn.evaluation.sinks.figure_files import drawn
     from ahnn.prediction.figure import prediction_figure
 
-    figure = prediction_figure(prediction, space, title, beginning(prediction, starts, space.units.time))
+    about = beginning(prediction, starts, space.units.time, "\n")  # titles are narrow
+    figure = prediction_figure(prediction, space, title, about)
     write_atomically(path, drawn(figure, path.suffix.lower()))
