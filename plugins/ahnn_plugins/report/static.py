@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,8 @@ DASHES: dict[str, Any] = {
 MARKERS = {"circle": "o", "square": "s", "line": "_", "x": "x"}
 NARROW, SHORT = 2.5, 30.0
 """Dynamic ranges of log axes below which labels are linear, or lie between powers of ten."""
+LETTERS = 10.5
+"""Number of letters of a title per inch."""
 MANY = 3
 """Maximum number of panels in one column; more use two."""
 
@@ -49,8 +52,14 @@ def to_matplotlib(drawing: Drawing) -> Figure:
     for column in grid.T:
         column[-1].set_xlabel(_plain(drawing.panels[0].x))
     _legend(figure, places[:count])
-    figure.suptitle(_plain("\n".join(filter(None, (drawing.title, drawing.spread)))), fontsize=11)
+    _title(figure, drawing.title, drawing.spread)
     return figure
+
+
+def _title(figure: Figure, *lines: str) -> None:
+    """Set the title, whose lines are broken at the width of the figure."""
+    width = int(LETTERS * figure.get_figwidth())
+    figure.suptitle("\n".join(fill(_plain(line), width) for line in lines if line), fontsize=11)
 
 
 def _fill(axes: Any, panel: Panel, drawing: Drawing) -> None:
@@ -137,7 +146,7 @@ def _space(drawing: Drawing) -> Figure:
         axes.locator_params(axis=name, nbins=4)
     axes.tick_params(axis="z", pad=6)
     _legend(figure, [axes])
-    figure.suptitle(_plain(drawing.title), fontsize=11)
+    _title(figure, drawing.title)
     return figure
 
 
