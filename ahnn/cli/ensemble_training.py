@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
-from ahnn.cli.build import Part, factories, factory, stored, without_network
+from ahnn.cli.build import Part, factories, factory, of_seed, stored, without_network
 from ahnn.cli.early_stops import held, interruptible
 from ahnn.cli.parts import is_multirun
 from ahnn.cli.preflight import require_new
@@ -49,7 +49,6 @@ def prepare_members(cfg: DictConfig) -> PreparedEnsemble:
         UserError: incompatible parts, or settings that couple the members.
     """
     from ahnn.cli.prepare import build_trainer, checkpoint_of, parts_of, prepare
-    from ahnn.cli.training import of_seed
     from ahnn.jobs.fitting_members import PreparedEnsemble
     from ahnn.models import EnsembleModel
     from ahnn.training.restore import require_resumable

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
+from ahnn.cli.build import of_seed
 from ahnn.cli.early_stops import held, interruptible
 from ahnn.cli.preflight import begin, require_new
 from ahnn.files import claimed, require_writable
@@ -41,13 +42,6 @@ def train(cfg: DictConfig) -> float:
     if not is_multirun():  # in a sweep the table shows each job, and a search uses the losses
         require_converged([Path(part.folder) for part in parts])
     return sum(losses) / len(losses)
-
-
-def of_seed(cfg: DictConfig, seed: int) -> DictConfig:
-    """Return the configuration of one seed among several."""
-    part = cfg.copy()
-    part.seed, part.seeds, part.folder = seed, None, f"{cfg.folder}/seed_{seed}"
-    return part
 
 
 def check(cfg: DictConfig) -> None:

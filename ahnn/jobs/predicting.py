@@ -74,7 +74,7 @@ def predict(asked: PredictionRequest) -> None:
         output.require_figure(Path(asked.figure))
     if asked.output is not None and isinstance(asked.start, str):
         output.require_other(Path(asked.output), Path(asked.start))
-    blocks = blocks_of(asked, begin, moments)
+    blocks = blocks_of(asked.run, asked.pretrained, asked.ckpt, begin, moments)
     require_room(len(begin.states), begin.states.shape[1], times, runs[0].dt)
     if workers is None:
         title = f"predicting {len(begin.states):,} trajectories"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from torch import Tensor
 
@@ -14,9 +14,6 @@ from ahnn.jobs.named import named_runs
 from ahnn.prediction import together
 from ahnn.prediction.propagation import Prediction
 from ahnn.runs import Run
-
-if TYPE_CHECKING:
-    from ahnn.jobs.predicting import PredictionRequest
 
 TOGETHER = 250
 """Number of starts in a block. Decisions for a whole block, such as the order of a quadrature, therefore do
@@ -45,13 +42,15 @@ class StartBlock(NamedTuple):
     is_only: bool
 
 
-def blocks_of(asked: PredictionRequest, begin: Starts, moments: Moments) -> list[StartBlock]:
-    """Divide the starts of a prediction."""
+def blocks_of(
+    run: str | list[str] | None, pretrained: str | None, ckpt: str, begin: Starts, moments: Moments
+) -> list[StartBlock]:
+    """Divide the starts of a prediction with one run, several runs or a shipped model."""
     _loaded.cache_clear()  # a run folder, or the working directory, may have changed in the meantime
-    runs = () if asked.run is None else tuple(asked.run) if isinstance(asked.run, list) else (asked.run,)
+    runs = () if run is None else tuple(run) if isinstance(run, list) else (run,)
     states = begin.states.split(TOGETHER)
     known = [None] * len(states) if begin.covariances is None else begin.covariances.split(TOGETHER)
-    of_runs = runs, asked.pretrained, asked.ckpt
+    of_runs = runs, pretrained, ckpt
     return [
         StartBlock(*of_runs, *part, moments, len(states) == 1) for part in zip(states, known, strict=True)
     ]

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 
 from ahnn.tracking.unknowns import Smoothness, Unknowns
-
-if TYPE_CHECKING:
-    from ahnn.tracking.orbit_fit import WhitenedRows
+from ahnn.tracking.whitened_rows import WhitenedRows
 
 Array = NDArray[np.float64]
 DEVIATIONS = np.geomspace(1e-2, 1e3, 21)

@@ -22,6 +22,7 @@ from ahnn.tracking.satellite_arc import Forces, SatelliteArc, satellite_arc
 from ahnn.tracking.tracking_data import KINDS
 from ahnn.tracking.tracking_model import ANGLES, TrackingModel
 from ahnn.tracking.unknowns import Smoothness, Unknowns
+from ahnn.tracking.whitened_rows import WhitenedRows
 
 log = logging.getLogger(__name__)
 
@@ -143,22 +144,6 @@ def linearised(problem: OrbitProblem, x: Array) -> LinearisedOrbit:
     for place, (station, kind) in enumerate(unknowns.bias, 6 + unknowns.forces):
         by[data.station == station, kind, place] = 1.0
     return LinearisedOrbit(x, arc, residuals, by, predicted.elevation)
-
-
-class WhitenedRows(NamedTuple):
-    """Whitened fitted measurements, one per row.
-
-    Attributes:
-        e: residuals in standard deviations, (M,).
-        by: negative derivatives with respect to the free unknowns, (M, F).
-        group: index of the noise, station * 6 + kind, (M,).
-        sd: noise standard deviation, (M,).
-    """
-
-    e: Array
-    by: Array
-    group: NDArray[np.int64]
-    sd: Array
 
 
 def rows_of(problem: OrbitProblem, point: LinearisedOrbit, noise: Array) -> WhitenedRows:

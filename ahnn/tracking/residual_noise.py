@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm
 
 from ahnn.shooting.robust import HUBER
-
-if TYPE_CHECKING:
-    from ahnn.tracking.orbit_fit import WhitenedRows
+from ahnn.tracking.whitened_rows import WhitenedRows
 
 Array = NDArray[np.float64]
 SMALLEST, MOST = 0.05, 10.0
