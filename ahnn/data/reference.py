@@ -8,7 +8,7 @@ import re
 from typing import NamedTuple
 
 from ahnn.data.files.epochs import DAY, SECOND, instant, leaps, spelled
-from ahnn.data.files.frame_names import INERTIAL, ROTATING, canonical, known
+from ahnn.data.files.frame_names import INERTIAL, NAMES, ROTATING, canonical, known
 from ahnn.data.files.frames import TO_TT
 from ahnn.errors import UserError
 
@@ -156,7 +156,7 @@ class Reference(NamedTuple):
         wanted, given = alias(ours.frame), alias(self.frame)
         if not given or wanted == given:
             return None
-        if wanted in INERTIAL and known(self.frame):
+        if wanted in NAMES.values() and known(self.frame):
             return wanted
         if wanted or given.startswith(ROTATING):
             expected = f"frame {ours.frame}, as in the model" if wanted else "an inertial frame"

@@ -20,7 +20,7 @@ def matrices_to(frame: str, own: Reference, times: Tensor, space: Space, who: st
     """Return the matrices (B, 6, 6) that transform states from their own frame to another.
 
     Args:
-        frame: GCRF or EME2000.
+        frame: GCRF, EME2000, TEME or CIRS.
         own: reference of the states.
         times: (B,) times of the states.
         space: description of the state components.

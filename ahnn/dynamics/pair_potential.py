@@ -7,7 +7,6 @@ number of bodies.
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Sequence
 from typing import Any, cast
 
@@ -18,6 +17,7 @@ from ahnn.dynamics.energies import Quadratic, energy_units
 from ahnn.dynamics.hessians import is_closed
 from ahnn.dynamics.networks import make_network
 from ahnn.errors import UserError
+from ahnn.numbers import Numbers, as_float64
 from ahnn.statistics import Statistics
 
 
@@ -147,7 +147,7 @@ def body_masses(dof: int, mass: float | Sequence[float], dimensions: int) -> lis
     return [own[0] for own in bodies]
 
 
-def for_bodies(dynamics: nn.Module, masses: Sequence[float]) -> nn.Module:
+def for_bodies(dynamics: nn.Module, masses: Numbers) -> nn.Module:
     """Transfer learned pair dynamics to other bodies.
 
     The result propagates states of its own bodies, (B, 2 n) with n = bodies * dimensions, and can be saved
@@ -166,10 +166,11 @@ def for_bodies(dynamics: nn.Module, masses: Sequence[float]) -> nn.Module:
     if not isinstance(potential, PairPotential):
         message = f"for_bodies: expected dynamics with hamiltonian=pairs; received {type(dynamics).__name__}"
         raise UserError(message)
-    if len(masses) < 2 or not all(0 < mass < math.inf for mass in masses):
-        message = f"masses: expected two or more finite masses > 0; received {list(masses)}"
+    given = as_float64(masses, "masses")
+    if given.ndim != 1 or len(given) < 2 or not ((given > 0) & given.isfinite()).all():
+        message = f"masses: expected two or more finite masses > 0; received {given.tolist()}"
         raise UserError(message)
-    potential.masses = [float(mass) for mass in masses]
+    potential.masses = given.tolist()
     inertia = [mass for mass in potential.masses for _ in range(potential.dimensions)]
     cast(Any, field).kinetic = Quadratic(inertia).to(potential.unit)
     if hasattr(found, "spec"):

@@ -138,6 +138,8 @@ def test_other_dynamics_and_masses_are_refused():
         for_bodies(dynamics(hamiltonian="generic", dimensions=None, falloff=0.0), [1.0, 1.0])
     with pytest.raises(UserError, match="masses: expected two or more finite masses > 0"):
         for_bodies(dynamics(), [1.0])
+    with pytest.raises(UserError, match="masses: expected numbers"):
+        for_bodies(dynamics(), ["a", "b"])  # pyright: ignore[reportArgumentType]
 
 
 def test_its_network_sees_distances_from_the_least_to_the_largest():

@@ -49,7 +49,7 @@ def deviations(row):
         ({"frame": "ITRF2014"}, [], "expected an inertial frame; received ITRF2014. Set frame= to"),
         ({"center": "MARS"}, [], "expected centre EARTH, as in the model; received MARS"),
         ({"center": "MARS"}, ["frame=[GCRF,EARTH]"], "expected centre EARTH, as in the model"),
-        ({}, ["frame=[TEME,EARTH]"], "expected frame TEME, as in the model; received EME2000"),
+        ({}, ["frame=[TNW,EARTH]"], "expected frame TNW, as in the model; received EME2000"),
         ({"frame": "TNW"}, ["frame=[GCRF]"], "expected frame GCRF, as in the model; received TNW"),
         ({"clock": "UT1"}, ["frame=[EME2000,EARTH,UTC]"], "time system: expected UT1, or both of UTC"),
         ({}, ["epoch=2024-03-01T12:00:00"], "epoch: expected none, since the start file has its own"),
@@ -213,6 +213,22 @@ def test_a_prediction_in_cirs_is_converted_with_its_covariances(frame):
     turn = erfa.c2ixys(*erfa.xys06a(*tt)).T  # from CIRS to GCRF
     turn = erfa.bp00(*tt)[0] @ turn if frame == "EME2000" else turn
     assert np.allclose(found.states[0, :3], turn @ own.states[0, :3], rtol=1e-11, atol=0)
+
+
+@pytest.mark.parametrize("axes", ["CIRS", "TEME"])
+def test_a_start_is_converted_to_moving_axes_and_its_prediction_back(axes):
+    run = framed(Path("run"), f"{axes}, EARTH, UTC, from 2026-01-01T00:00:00.000")
+    start = message("EME2000", axes="EME2000")
+    assert call("ahnn.predict", f"run={run}", start, *SHORT, "output=own.oem") == 0
+    back = ["output=back.oem", "output_frame=EME2000"]
+    assert call("ahnn.predict", f"run={run}", start, *SHORT, *back) == 0
+    (own,), (found,) = read_oem("own.oem"), read_oem("back.oem")
+    assert (own.frame, found.frame, own.start) == (axes, "EME2000", NOON)
+    turned = Files("turned", "own.oem", frame="EME2000").read().states[0, 0]
+    close(turned, torch.from_numpy(STATE), 1e-14)
+    close(torch.from_numpy(found.states[0]), torch.from_numpy(STATE), 1e-14)
+    assert np.allclose(found.covariances[0].matrix, P, rtol=1e-9, atol=1e-12)
+    assert np.linalg.norm(own.states[0, :3] - STATE[:3]) > 1e-3 * np.linalg.norm(STATE[:3])
 
 
 def test_a_frame_that_cannot_be_converted_is_one_message(capsys):

@@ -1,4 +1,4 @@
-"""Transformation of positions and velocities near the Earth to an inertial frame (IERS conventions).
+"""Transformation of positions and velocities near the Earth between frames (IERS conventions).
 
 TEME is rotated to the terrestrial frame by the sidereal time of 1982, as SGP4 defines it (Vallado et al.,
 AIAA 2006-6753), and from there into GCRF by IAU 2006/2000A (IERS Conventions 2010), as is CIRS, the true
@@ -35,7 +35,7 @@ def turned(content: Content, frame: str, file: str) -> Content:
 
     Args:
         content: three positions, with or without velocities.
-        frame: GCRF or EME2000.
+        frame: one of `NAMES`.
         file: file name, for messages.
 
     Raises:
@@ -87,19 +87,23 @@ def terrestrial(epoch: int, times: Array, clock: str) -> Array:
 
 
 def rotations(tt: Array, given: str, frame: str) -> NDArray[np.float64]:
-    """Return matrices, (T, 3, 3), from a frame into GCRF or EME2000 at Julian dates of TT, (2, T)."""
+    """Return matrices, (T, 3, 3), from a frame into another at Julian dates of TT, (2, T)."""
+    return into_gcrf(tt, frame).transpose(0, 2, 1) @ into_gcrf(tt, given)
+
+
+def into_gcrf(tt: Array, frame: str) -> NDArray[np.float64]:
+    """Return matrices, (T, 3, 3), from a frame into GCRF at Julian dates of TT, (2, T)."""
     erfa = library("erfa", "pyerfa", "orbit", "system.frame")
     matrices: Any = np.eye(3)
-    bias = erfa.bp00(*tt[:, 0])[0]  # from GCRF to mean equator and equinox of J2000.0
-    if given == "EME2000":
-        matrices = bias.T
-    elif given == "CIRS":
+    if frame == "EME2000":
+        matrices = erfa.bp00(*tt[:, 0])[0].T  # the mean equator and equinox of J2000.0
+    elif frame == "CIRS":
         matrices = erfa.c2i06a(*tt).transpose(0, 2, 1)
-    elif given != "GCRF":
+    elif frame != "GCRF":
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", erfa.ErfaWarning)  # for years without announced leap seconds
             ut1 = erfa.taiutc(*erfa.tttai(*tt))
         matrices = erfa.c2t06a(*tt, *ut1, 0.0, 0.0).transpose(0, 2, 1)
-        if given == "TEME":
+        if frame == "TEME":
             matrices = matrices @ erfa.rz(erfa.gmst82(*ut1), np.eye(3))
-    return np.broadcast_to(bias @ matrices if frame == "EME2000" else matrices, (tt.shape[1], 3, 3))
+    return np.broadcast_to(matrices, (tt.shape[1], 3, 3))
