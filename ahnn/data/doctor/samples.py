@@ -17,12 +17,16 @@ from ahnn.data.files.table import Fault
 from ahnn.data.files.units import ANGLE, unit
 from ahnn.data.noise_floor import ORDERS, SHARE, differences_level, looked_at, noise_floor
 
-FAR = 30.0
-"""Deviation from the local polynomial, in units of its uncertainty, beyond which a sample is an outlier."""
-EVEN, LEAST = 0.1, 1e-6
-"""Outlier criteria: maximum deviation of the neighbours that the sample does not explain, relative to its
-own, and minimum deviation relative to the largest value.
+BENT, FAR = 30.0, 8.0
+"""An outlier is further from the polynomial through its neighbours than the sum of these multiples of the
+polynomial's uncertainty and of the typical deviation.
 """
+EVEN, SPREAD, LEAST = 0.1, 4.0, 1e-6
+"""Outlier criteria: maximum deviation of the neighbours that the sample does not explain, in parts of its own
+plus typical ones, and minimum deviation relative to the largest value.
+"""
+JUMP = 30.0
+"""Step into a run of values on another scale, in typical steps."""
 WIDE, NEAR = 100.0, 10.0
 """Deviations from the median of a file, in robust standard deviations: some value in a run on another scale
 exceeds the first, and all of them exceed the second.
@@ -127,19 +131,18 @@ def outliers(track: Track, content: Content) -> Iterator[Finding]:
         return
     at = np.arange(4, count - 4)
     (near, pull), *fewer = (interpolated(track.times, track.values, at, k) for k in (4, 3, 2))
-    left = track.values[at] - near
+    left, gain = track.values[at] - near, np.sqrt(1 + (pull**2).sum(axis=1, keepdims=True))
     off = np.abs(left)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # columns without a number
-        typical, size = np.nanmedian(off, axis=0), np.nanmax(np.abs(track.values), axis=0)
+        noise, size = gain * np.nanmedian(off / gain, axis=0), np.nanmax(np.abs(track.values), axis=0)
     (near_of_6, _), (near_of_4, _) = fewer
-    doubt = np.abs(near - near_of_6) + 0.1 * np.abs(near_of_6 - near_of_4) + typical
+    doubt = np.abs(near - near_of_6) + 0.1 * np.abs(near_of_6 - near_of_4)
+    far = (off > BENT * doubt + FAR * noise) & (off > LEAST * size)
     # an outlier displaces the curves at its two neighbours by its weight in them; a jump displaces them more
-    pulled = (
-        np.roll(left + pull[:, [k]] * np.roll(left, by, axis=0), -by, axis=0) for k, by in ((4, -1), (3, 1))
-    )
-    alone = np.maximum(*map(np.abs, pulled)) < EVEN * off
-    far = alone & (off > FAR * doubt) & (off > LEAST * size)
+    for k, by in ((4, -1), (3, 1)):
+        unexplained = np.abs(left + pull[:, [k]] * np.roll(left, by, axis=0))
+        far &= np.roll(unexplained - SPREAD * noise, -by, axis=0) < EVEN * off
     for k, c in zip(*np.nonzero(far), strict=True):
         size = float(off[k, c])
         what = f"an outlier: {of_column(content, c, size)} from the curve through its neighbours"
@@ -161,7 +164,7 @@ def runs_of_outliers(content: Content, names: tuple[str, ...]) -> Iterator[Findi
             for first, last in runs(off > NEAR):
                 edges = [k for k in (first - 1, last) if 0 <= k < len(steps)]  # steps at both ends of the run
                 wide = last > first and off[first : last + 1].max() > WIDE
-                if wide and edges and steps[edges].min() > FAR * np.median(steps):
+                if wide and edges and steps[edges].min() > JUMP * np.median(steps):
                     rows = track.rows[there[[first, last]]]
                     what = (
                         f"{last - first + 1} successive values, rows {rows[0]} to {rows[1]}, are up to "

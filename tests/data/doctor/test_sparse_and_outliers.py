@@ -80,6 +80,16 @@ def test_outliers_beside_missing_samples_are_found_too(tmp_path):
     assert [one.row for one in found if "outlier" in one.what] == (rows + 2).tolist()
 
 
+def test_most_outliers_of_twenty_standard_deviations_are_found(tmp_path):
+    t, states = ellipse(90, 2000)
+    draw, rows = np.random.default_rng(2), np.arange(50, 1950, 97)
+    states += draw.standard_normal(states.shape) * [1, 1, 1, 1e-3, 1e-3, 1e-3]
+    states[rows, 0] += 20 * draw.choice([-1.0, 1.0], len(rows))
+    found = [one for one in checked(tmp_path, t, states) if "outlier" in one.what]
+    assert {(one.row, one.column) for one in found} <= {(row + 2, "x") for row in rows.tolist()}
+    assert len(found) > 0.75 * len(rows)
+
+
 def test_maneuvers_and_jumps_are_no_outliers(tmp_path):
     t, states = ellipse(90, 100)
     _, other = ellipse(90, 100, 0.1)
