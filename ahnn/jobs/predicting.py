@@ -41,6 +41,7 @@ class PredictionRequest:
     ckpt: str = "best"
     step: str | float | None = None
     output: str | None = None
+    covariances: bool = False
     output_frame: Literal["GCRF", "EME2000"] | None = None
     figure: str | None = None
     workers: int | str | None = None
@@ -92,7 +93,8 @@ def predict(asked: PredictionRequest) -> None:
     ]
     remarks = [*filter(None, remarks)]
     if asked.output is not None:
-        output.write(Path(asked.output), found, begin, space, [*remarks, *_unfinished(runs)])
+        said = [*remarks, *_unfinished(runs)]
+        output.write(Path(asked.output), found, begin, space, said, correlated=asked.covariances)
     if asked.figure is not None:
         output.draw(Path(asked.figure), found, begin, space, title)
     show(summary(found, begin, space, title))

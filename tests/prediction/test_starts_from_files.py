@@ -167,6 +167,19 @@ def test_a_start_that_the_program_wrote_causes_no_remarks_on_training(name, capl
     assert "the sidecar does not name them: note" in caplog.text
 
 
+def test_a_table_hands_on_the_covariances_of_its_states():
+    """The axes along the orbit are oblique to those of the state: standard deviations alone are not enough."""
+    direct = ["duration=2h", "step=1h", "output=direct.oem"]
+    assert call("ahnn.predict", MOLNIYA, message(axes="RTN"), *direct) == 0
+    known = read_oem("direct.oem")[0].covariances[-1].matrix
+    for more, alike in (["covariances=true"], True), ([], False):
+        assert call("ahnn.predict", MOLNIYA, "start=start.oem", *SHORT, "output=orbit.csv", *more) == 0
+        assert any(name.startswith("cov_y_x") for name in first("orbit.csv")) is alike
+        assert call("ahnn.predict", MOLNIYA, "start=orbit.csv", *direct[:2], "output=again.oem") == 0
+        found = read_oem("again.oem")[0].covariances[-1].matrix
+        assert np.allclose(found, known, rtol=1e-6, atol=0) is alike
+
+
 def test_what_a_prediction_wrote_is_a_start_with_its_frame_and_its_epoch():
     assert call("ahnn.predict", MOLNIYA, message(), *SHORT, "output=orbit.csv") == 0
     assert call("ahnn.predict", MOLNIYA, "start=orbit.csv", *SHORT, "output=again.oem") == 0
