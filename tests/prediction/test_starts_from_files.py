@@ -168,7 +168,7 @@ def test_a_start_that_the_program_wrote_causes_no_remarks_on_training(name, capl
 
 
 def test_a_table_hands_on_the_covariances_of_its_states():
-    """The axes along the orbit are oblique to those of the state: standard deviations alone are not enough."""
+    """The axes along the orbit are oblique to those of the state: standard deviations are not enough."""
     direct = ["duration=2h", "step=1h", "output=direct.oem"]
     assert call("ahnn.predict", MOLNIYA, message(axes="RTN"), *direct) == 0
     known = read_oem("direct.oem")[0].covariances[-1].matrix

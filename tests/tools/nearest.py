@@ -27,6 +27,8 @@ HEAVY = ("torch", "lightning", "hydra", "scipy.stats", "hypothesis", "optuna", "
 QUIET = ("-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning")
 LIMIT_TESTS, LIMIT_SECONDS, SLOW = 120, 30.0, 1.0
 """Most tests of one mutant, about how long they take, and what comes last, in seconds."""
+TOGETHER = 25
+"""Test files measured at once; what was measured is kept if a later part fails."""
 
 
 class Recorder:
@@ -81,12 +83,13 @@ class Reach:
         if not stale:
             return
         result = self.store.with_suffix(".part")
-        forked(lambda: _measured(self.tree, stale, result), self.tree, 3000)
-        lines, seconds = json.loads(result.read_text())
-        self.seconds = {t: s for t, s in self.seconds.items() if t.split("::")[0] not in stale} | seconds
-        self.lines = {t: x for t, x in self.lines.items() if t.split("::")[0] not in stale} | lines
-        self.stamps |= self.current(stale)
-        self.store.write_text(json.dumps([self.lines, self.seconds, self.stamps]))
+        for part in (stale[k : k + TOGETHER] for k in range(0, len(stale), TOGETHER)):
+            forked(lambda part=part: _measured(self.tree, part, result), self.tree, 3000)
+            lines, seconds = json.loads(result.read_text())
+            self.seconds = {t: s for t, s in self.seconds.items() if t.split("::")[0] not in part} | seconds
+            self.lines = {t: x for t, x in self.lines.items() if t.split("::")[0] not in part} | lines
+            self.stamps |= self.current(part)
+            self.store.write_text(json.dumps([self.lines, self.seconds, self.stamps]))
 
     def current(self, files: list[str]) -> dict[str, str]:
         """Return a stamp of each test file, of its text and of the files that its tests reach."""
