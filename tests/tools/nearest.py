@@ -84,6 +84,7 @@ class Reach:
             return
         result = self.store.with_suffix(".part")
         for part in (stale[k : k + TOGETHER] for k in range(0, len(stale), TOGETHER)):
+            result.unlink(missing_ok=True)
             forked(lambda part=part: _measured(self.tree, part, result), self.tree, 3000)
             lines, seconds = json.loads(result.read_text())
             self.seconds = {t: s for t, s in self.seconds.items() if t.split("::")[0] not in part} | seconds
