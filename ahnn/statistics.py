@@ -26,6 +26,7 @@ class Statistics(NamedTuple):
             and dp/dt.
         clock: (M, 1 + m) time and controls at these positions.
         dt: sampling interval; if steps differ, the median step of a subset of the trajectories.
+        force_sd: (M, n) standard deviations of the forces, estimated from noisy samples; None for exact ones.
     """
 
     minimum: Tensor
@@ -38,6 +39,7 @@ class Statistics(NamedTuple):
     forces: Tensor
     clock: Tensor
     dt: float
+    force_sd: Tensor | None = None
 
     def without(self, known: Tensor) -> Statistics:
         """Return the statistics after subtraction of forces `known`, (M, n), at the sample positions."""

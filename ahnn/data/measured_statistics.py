@@ -22,6 +22,7 @@ def measured_statistics(local: Local, instrument: Instrument, measured: Observat
     """
     states = as_states(local.value, local.rate, instrument)
     rates = as_states(local.rate, local.curvature, instrument)
+    sds = as_states(local.rate_sd, local.curvature_sd, instrument)
     radius = states.chunk(2, dim=-1)[0].norm(dim=-1)
     error = (local.error / scale_of(local)).norm(dim=-1)
     true = error <= UNTRUE * error.median()
@@ -40,4 +41,5 @@ def measured_statistics(local: Local, instrument: Instrument, measured: Observat
         forces=rates[true].chunk(2, dim=-1)[1],
         clock=measured.times[row, column].unsqueeze(-1),
         dt=dt,
+        force_sd=sds[true].chunk(2, dim=-1)[1],
     )

@@ -19,6 +19,11 @@ from ahnn.errors import UserError
 from ahnn.statistics import Statistics
 from ahnn.types import as_factor
 
+HIDDEN = 1.5
+"""Rms of the forces beyond a point mass, in standard deviations of their noise, below which noise hides them."""
+SLIGHT = 1e-3
+"""Unit of a remainder that noise hides, relative to the potential of the point mass."""
+
 
 class Energy(Protocol):
     """Function of the positions or of the momenta, with derivatives.
@@ -239,7 +244,11 @@ class CentralBody(nn.Module):
                 )
                 raise UserError(message)
             self.log_mu.data.copy_(mu.log())
-        left = (rate - self.mu * attraction) * q.norm(dim=-1, keepdim=True)
+        r, noise = q.norm(dim=-1, keepdim=True), statistics.force_sd
+        left = (rate - self.mu * attraction) * r
+        if noise is not None and left.square().mean() < HIDDEN**2 * (noise * r).square().mean():
+            # A network in units of this noise could replace the attraction itself.
+            left = SLIGHT * self.mu * attraction * r
         seen = self.remainder.envelope(q)[0] if self.remainder.falloff else torch.ones(1)
         self.remainder.unit.copy_((left.square().mean() / seen.square().mean()).sqrt())
 

@@ -27,6 +27,7 @@ class Local(NamedTuple):
 
     Attributes:
         value, rate, curvature: (E, C) value at the centre, and first and second derivatives.
+        rate_sd, curvature_sd: (E, C) standard deviations of the derivatives, from the scatter of the samples.
         error: (E, C) difference of the central sample from the polynomial through all other samples.
         leverage: (E,) weight of the central sample in the value at the centre.
         width: number of fitted samples on either side.
@@ -36,6 +37,8 @@ class Local(NamedTuple):
     value: Tensor
     rate: Tensor
     curvature: Tensor
+    rate_sd: Tensor
+    curvature_sd: Tensor
     error: Tensor
     leverage: Tensor
     width: int = 0
@@ -61,8 +64,17 @@ def local_polynomials(values: Tensor, offsets: Tensor, middle: int, degree: int 
     coefficients = solver @ values
     leverage = solver[:, 0, middle]
     left = (values[:, middle] - coefficients[:, 0]) / (1 - leverage).clamp(min=1e-6).unsqueeze(-1)
+    spare = (there.sum(1) - degree - 1).clamp(min=1).unsqueeze(-1)
+    scatter = ((values - design @ coefficients).square().sum(1) / spare).sqrt()
+    sds = scatter.unsqueeze(1) * solver.norm(dim=-1, keepdim=True)  # of the coefficients
     return Local(
-        coefficients[:, 0], coefficients[:, 1] / scale, 2 * coefficients[:, 2] / scale**2, left, leverage
+        coefficients[:, 0],
+        coefficients[:, 1] / scale,
+        2 * coefficients[:, 2] / scale**2,
+        sds[:, 1] / scale,
+        2 * sds[:, 2] / scale**2,
+        left,
+        leverage,
     )
 
 

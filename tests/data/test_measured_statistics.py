@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pytest
 import torch
-from helpers import close, generator
+from helpers import TINY, close, generator
 
 from ahnn.data.measured_statistics import measured_statistics
-from ahnn.measurements import Instrument, Position
+from ahnn.dynamics.hamiltonians import make_hamiltonian
+from ahnn.measurements import GroundStation, Instrument, Observations, Position
 from ahnn.measurements.smoothing import smoothed
 from ahnn.types import Trajectories
 
@@ -51,3 +52,28 @@ def test_distances_are_those_of_the_positions_in_space():
     close(found.increment, 0.05 * found.rate, 1e-9)
     close(found.forces, 3 * (centre - found.positions), 2e-2)
     assert found.dt == pytest.approx(0.05, rel=1e-9)
+
+
+def test_noise_of_sightings_is_no_perturbation_of_the_central_body():
+    """The force before training, beside the exact one: angles of 0.02 degrees hide all but mu / r^2.
+
+    In units of the noise of the sampled forces, the remainder was as large as the attraction.
+    """
+    mu, times = 398600.4418, 60.0 * torch.arange(241, dtype=torch.float64)
+    angle = 2e-4 * times + torch.arange(6).unsqueeze(1)  # at 21,500 km
+    flat = torch.stack((angle.cos(), 0.8 * angle.sin(), 0.6 * angle.sin()), dim=-1)
+    places = (mu / 4e-8) ** (1 / 3) * flat
+    sds = torch.tensor([0.05, 3.5e-4, 3.5e-4], dtype=torch.float64)
+    station = GroundStation(67.86, 20.96)
+    seen = station(places, times)
+    values = seen + sds * torch.randn(seen.shape, generator=generator(4), dtype=torch.float64)
+    measured = Observations(values, times.expand(6, -1))
+    instrument = Instrument(station, sds, 240.0, 3, 1.0)
+    found = measured_statistics(smoothed(instrument, *measured, 4_000), instrument, measured)
+    for falloff in (0.0, 3.0):
+        torch.manual_seed(0)
+        options = {"mass": 1.0, "mu": None, "inputs": "isotropic", "scaling": "block", "network": TINY}
+        body = make_hamiltonian("central_body", 3, falloff=falloff, **options).double()
+        body.fit(found)
+        exact = -mu * flat / places.norm(dim=-1, keepdim=True) ** 2
+        close(body.force(places), exact, 0.02)

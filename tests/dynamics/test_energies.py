@@ -8,7 +8,7 @@ import pytest
 import torch
 from helpers import TINY, close, generator
 
-from ahnn.dynamics.energies import CentralBody, NetworkEnergy, Quadratic, energy_units
+from ahnn.dynamics.energies import SLIGHT, CentralBody, NetworkEnergy, Quadratic, energy_units
 from ahnn.dynamics.hamiltonians import make_hamiltonian
 from ahnn.dynamics.inputs import Cartesian, Isotropic, position_inputs
 from ahnn.errors import UserError
@@ -89,6 +89,21 @@ def test_the_unit_of_the_remainder_is_the_energy_that_a_point_mass_leaves(mass, 
         squares += [(float(component) * r) ** 2 for component in left]
         seen += DOF * [(float(sampled.radius[0]) / r) ** (2 * falloff)]
     close(fitted.remainder.unit, torch.tensor((sum(squares) / sum(seen)) ** 0.5), 1e-7)
+
+
+@pytest.mark.parametrize("falloff", [0.0, 3.0])
+@pytest.mark.parametrize(("noise", "hidden"), [(0.05, True), (0.04, True), (0.025, False)])
+def test_noise_that_hides_a_remainder_does_not_set_its_unit(noise, hidden, falloff):
+    sampled = statistics(extra=0.05)
+    noisy, plain = body(1.0, 5.0, falloff), body(1.0, 5.0, falloff)
+    noisy.fit(sampled._replace(force_sd=torch.full_like(sampled.forces, noise)))
+    plain.fit(sampled)
+    slight = []
+    for q in sampled.positions:
+        r = float(q.norm())
+        slight.append(((SLIGHT * 5.0 / r) ** 2, DOF * (float(sampled.radius[0]) / r) ** (2 * falloff)))
+    unit = (sum(a for a, _ in slight) / sum(b for _, b in slight)) ** 0.5
+    close(noisy.remainder.unit, torch.tensor(unit) if hidden else plain.remainder.unit, 1e-7)
 
 
 def test_nothing_is_left_of_exact_data():

@@ -38,6 +38,15 @@ def test_the_error_of_a_sample_is_that_of_the_polynomial_without_it():
     close(local_polynomials(values, t - 4, 4).error, values[:, 4] - left_out, 1e-9)
 
 
+def test_standard_deviations_of_derivatives_are_their_scatter_over_draws_of_the_noise():
+    t = torch.tensor([0.0, 0.3, 0.9, 1.4, 2.2, 2.5, 3.1], **DOUBLE).expand(20_000, -1)
+    sds = torch.tensor([0.1, 4.0], **DOUBLE)
+    noise = sds * torch.randn(*t.shape, 2, generator=generator(8), **DOUBLE)
+    found = local_polynomials(cubic(t).unsqueeze(-1) + noise, t - 1.4, 3)
+    close(found.rate_sd.square().mean(0).sqrt(), found.rate.std(0), 0.03)
+    close(found.curvature_sd.square().mean(0).sqrt(), found.curvature.std(0), 0.03)
+
+
 def waves(sd, count=20):
     t = 0.01 * torch.arange(1001, **DOUBLE).expand(count, -1)
     phase = torch.rand(count, 1, generator=generator(2), **DOUBLE) * 6
@@ -127,7 +136,7 @@ def test_widths_do_not_depend_on_the_units_of_a_component():
 def test_no_polynomial_is_wider_than_a_trajectory_but_for_the_narrowest(samples, monkeypatch):
     """Those of up to six samples on either side are tried in any case."""
     seen, t = [], 0.1 * torch.arange(samples, **DOUBLE).unsqueeze(0)
-    local = smoothing.Local(*torch.randn(4, 3, 1, generator=generator(1), **DOUBLE), torch.zeros(3))
+    local = smoothing.Local(*torch.randn(6, 3, 1, generator=generator(1), **DOUBLE), torch.zeros(3))
     monkeypatch.setattr(smoothing, "around", lambda *given: seen.append(given[-1]) or local)
     smoothed(Instrument(Position(1), torch.ones(1), 0.1, 1, 1.0), cubic(t).unsqueeze(-1), t, 7)
     assert seen == [width for width in smoothing.WIDTHS if width <= 6 or 2 * width + 1 <= samples]
