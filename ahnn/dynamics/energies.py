@@ -20,7 +20,7 @@ from ahnn.statistics import Statistics
 from ahnn.types import as_factor
 
 HIDDEN = 1.5
-"""Rms of the forces beyond a point mass, in standard deviations of their noise, below which noise hides them."""
+"""Rms of forces beyond a point mass, in standard deviations of their noise, below which it hides them."""
 SLIGHT = 1e-3
 """Unit of a remainder that noise hides, relative to the potential of the point mass."""
 
