@@ -28,8 +28,8 @@ from ahnn.rollouts import clock_of, rollout
 from ahnn.uncertainty import Uncertainty, learned_constants
 
 UNJUDGED = (
-    "the noise is not judged, since the model does not fit all trajectories: train longer, or choose a more "
-    "general model"
+    "the noise is not judged, since the model does not fit all trajectories: train longer, "
+    "on more measurements, or choose another model"
 )
 
 
