@@ -16,7 +16,7 @@ from ahnn.dynamics.sizes import fillable
 from ahnn.errors import UserError
 from ahnn.pretrained import names, shipped
 from ahnn.runs import Run
-from ahnn.stored import read_about
+from ahnn.stored import SAVED, read_about
 from ahnn.types import Space
 from ahnn.uncertainty import domain_of, load_uncertainty
 from ahnn.uncertainty.posterior import FILE
@@ -108,7 +108,7 @@ def weights_path(folder: Path, ckpt: str = "best") -> Path:
     if ckpt not in ("best", "last"):
         return Path(ckpt)
     here = folder / "checkpoints"
-    candidates = [here / f"{ckpt}.ckpt", folder / "weights.safetensors"]
+    candidates = [here / f"{ckpt}.ckpt", folder / SAVED]
     if ckpt == "best":
         candidates.append(here / "last.ckpt")
     return next((path for path in candidates if path.exists()), candidates[0])

@@ -12,7 +12,7 @@ from ahnn.errors import UserError
 from ahnn.loading import load, made
 from ahnn.numbers import described
 from ahnn.runs import Run
-from ahnn.stored import about_space
+from ahnn.stored import SAVED, about_space
 from ahnn.types import Space, Trajectories
 from ahnn.uncertainty import find_domain
 
@@ -49,5 +49,5 @@ def save(
     if data is not None:
         trajectories = check_states(data, space.dof)
         about["domain"] = find_domain(known, trajectories.states[trajectories.present]).about()
-    write_weights(target / "weights.safetensors", Weights(known.state_dict(), about))
+    write_weights(target / SAVED, Weights(known.state_dict(), about))
     return load(target)

@@ -16,6 +16,9 @@ from ahnn.types import Space, Units
 
 T = TypeVar("T")
 
+SAVED = "weights.safetensors"
+"""File name of weights that were saved, exported or shipped, without a training."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class About:

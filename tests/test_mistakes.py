@@ -45,6 +45,8 @@ MISTAKES = {
     "model=mlp hamiltonian=generic": "a model with a Hamiltonian; received model=mlp, which has none.",
     "model=node inputs=radial": "model=node, which has none. Use model=ahnn, or leave inputs=radial out",
     "nokey=3": "configuration: unknown key 'nokey'; it takes",
+    "trainer.limit_train_batches=2": "trainer takes accelerator, deterministic, devices",
+    "trainer.limit_val_batches=2": "Pass another argument as +trainer.limit_val_batches=VALUE",
     "model=mlp experiment=molniya_mechanical": "these options are incompatible; In 'experiment/",
     "data.noise=-1": "data.noise: expected a standard deviation > 0 for each of q [m], p [",
     "data.noise=10mm": "data.noise: expected a number in m, a list of numbers, or estimate; received '10mm'",

@@ -179,6 +179,8 @@ WRONG = {
     "map": (lambda: ahnn.FlowMap(2, dt=0.1, kind="mlp"), "kind: expected one of sympnet"),
     "list": (lambda: ahnn.NeuralODE(1)([[1.0, 2.0]], 0.1), "a tensor with 2 components .* received list"),
     "states": (lambda: ahnn.NeuralODE(1)(START, 0.1), r"with 2 components .* received Tensor \(3, 4\)"),
+    "steps": (lambda: ahnn.NeuralODE(2)(START.float(), torch.ones(2)), r"dt: .* each state; .*\(2,\)"),
+    "column of steps": (lambda: ahnn.NeuralODE(2)(START.float(), torch.ones(3, 1)), "dt: expected a number"),
     "data": (lambda: ahnn.NeuralODE(2, data=START), "trajectories: expected ahnn.Trajectories"),
     "other data": (lambda: ahnn.NeuralODE(2, data=oscillators()), "data: expected states .* of 4|received"),
     "constant": (
@@ -276,3 +278,12 @@ def test_a_folder_with_content_is_left_alone(tmp_path):
     with pytest.raises(UserError, match="folder: expected a new folder"):
         ahnn.save(free(), SPACE, 0.1, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_no_training_takes_over_the_folder_of_a_saved_model(tmp_path):
+    ahnn.save(free(), SPACE, 0.1, tmp_path / "mine")
+    saved = {path.name: path.read_bytes() for path in (tmp_path / "mine").iterdir()}
+    small = ["budget=smoke", "plugins=none", "evaluation=scores"]
+    with pytest.raises(UserError, match="expected a folder without weights; received one with weights"):
+        ahnn.fit(oscillators(), SPACE, small, folder=tmp_path / "mine")
+    assert {path.name: path.read_bytes() for path in (tmp_path / "mine").iterdir()} == saved

@@ -64,7 +64,7 @@ def once_each(loader: ConfigLoaderImpl, overrides: Iterable[Override]) -> list[O
 def nearest_key(wrong: str, known: Iterable[str]) -> str:
     """Return a hint with the dotted key that is closest to a wrong key, in full or in its last part.
 
-    Without a close match the hint lists only the top level, since all keys fill several pages.
+    Without a close match the hint lists the keys beside the wrong one: all keys fill several pages.
     """
     known = sorted(known)
     last = wrong.rpartition(".")[2]
@@ -81,4 +81,9 @@ def nearest_key(wrong: str, known: Iterable[str]) -> str:
         same = [key for key in known if key in close or key.rpartition(".")[2] in close]
         if same:
             return f"; did you mean {get_close_matches(wrong, same, n=1, cutoff=0)[0]!r}?"
+    group = wrong.rpartition(".")[0]
+    beside = [key.removeprefix(f"{group}.") for key in known if key.startswith(f"{group}.")]
+    if "_target_" in beside:
+        beside.remove("_target_")
+        return f"; {group} takes {', '.join(beside)}. Pass another argument as +{wrong}=VALUE"
     return nearest(wrong, [key for key in known if "." not in key])

@@ -13,6 +13,7 @@ from ahnn.cli.importing import import_torchmetrics, importing
 from ahnn.cli.settings import check_settings
 from ahnn.errors import UserError
 from ahnn.manifest import require_folder
+from ahnn.stored import SAVED
 
 HINTS = (
     ".*smaller than the logging interval.*",
@@ -59,10 +60,16 @@ def require_new(folder: Path, ckpt: str | None) -> None:
     """Check that a training run overwrites neither another run nor foreign files.
 
     Raises:
-        UserError: the folder contains checkpoints but none is resumed, or files that `ahnn` did not write.
+        UserError: the folder contains checkpoints but none is resumed, a saved model, or foreign files.
     """
     from ahnn.evaluation.sinks.figure_files import pictures_in
 
+    if (folder / SAVED).exists():
+        message = (
+            f"run {folder}: expected a folder without weights; received one with {SAVED}, a saved model. "
+            "Choose another run"
+        )
+        raise UserError(message)
     checkpoints = sorted((folder / "checkpoints").glob("*.ckpt"))
     if checkpoints and ckpt is None:
         message = (

@@ -65,7 +65,8 @@ class Dynamics(nn.Module, ABC):
         """Propagate states x, shape (B, D), over dt, a number or (B,); return (B, D).
 
         Raises:
-            UserError: x is not a tensor of states along its last axis, or dt is not the fixed step of a map.
+            UserError: x is not a tensor of states along its last axis, or dt has another shape or is not the
+                fixed step of a map.
         """
         self.require(dt)
         dof = getattr(self, "spec", {}).get("dof")
@@ -76,6 +77,12 @@ class Dynamics(nn.Module, ABC):
                 f"dynamics: expected a tensor with {components} along its last axis; received {described(x)}"
             )
             raise UserError(message)
+        if isinstance(dt, Tensor) and dt.ndim:
+            fits = dt.ndim == x.ndim - 1
+            if not fits or any(a != b and 1 not in (a, b) for a, b in zip(dt.shape, x.shape, strict=False)):
+                received = f"{described(dt)} for {described(x)}"
+                message = f"dt: expected a number, or one for each state; received {received}"
+                raise UserError(message)
         return x + self.increment(x, dt)
 
     def rollout(self, start: Tensor, steps: int, dt: TimeStep) -> Tensor:

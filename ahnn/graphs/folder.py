@@ -17,11 +17,11 @@ from ahnn.graphs.modules import ClockedStepModule, modules
 from ahnn.graphs.programs import CLOCK, INPUT, OUTPUT, as_onnx, as_pt2, program, require_onnx
 from ahnn.progress import track
 from ahnn.runs import Run
-from ahnn.stored import about_space
+from ahnn.stored import SAVED, about_space
 
 FORMAT = 2
 """Version of model.json, increased when its meaning changes."""
-ABOUT, WEIGHTS = "model.json", "weights.safetensors"
+ABOUT = "model.json"
 SHAPES = {"flow": ["batch", "components"], "energy": ["batch"]}
 
 
@@ -42,7 +42,7 @@ def write_export(run: Run, folder: Path) -> list[str]:
             found = program(module, len(run.space.components), *clock)
             (place / f"{name}.pt2").write_bytes(as_pt2(found))
             (place / f"{name}.onnx").write_bytes(as_onnx(found))
-        (place / WEIGHTS).write_bytes(packed(Weights(run.dynamics.state_dict(), run.about)))
+        (place / SAVED).write_bytes(packed(Weights(run.dynamics.state_dict(), run.about)))
         (place / ABOUT).write_text(json.dumps(about(run, parts), indent=2) + "\n")
         return sorted(path.name for path in place.iterdir())
 

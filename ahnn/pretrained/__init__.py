@@ -14,6 +14,7 @@ import yaml
 from ahnn.checkpoints import read_weights, write_weights
 from ahnn.contents import read_plain
 from ahnn.errors import UserError
+from ahnn.stored import SAVED
 
 HERE = Path(__file__).parent
 MACHINE = ("callbacks", "logger", "run", "folder")
@@ -22,7 +23,7 @@ MACHINE = ("callbacks", "logger", "run", "folder")
 
 def names() -> list[str]:
     """Return the names of the trained models."""
-    return sorted(folder.name for folder in HERE.iterdir() if (folder / "weights.safetensors").is_file())
+    return sorted(folder.name for folder in HERE.iterdir() if (folder / SAVED).is_file())
 
 
 def shipped(name: str) -> Path:
@@ -44,7 +45,7 @@ def pack(run: Path, name: str) -> Path:
     """
     folder = HERE / name
     folder.mkdir(exist_ok=True)
-    write_weights(folder / "weights.safetensors", read_weights(run / "checkpoints" / "best.ckpt"))
+    write_weights(folder / SAVED, read_weights(run / "checkpoints" / "best.ckpt"))
     cfg = read_plain(run / "config.yaml")
     kept = {key: value for key, value in cfg.items() if key not in MACHINE}
     (folder / "config.yaml").write_text(yaml.safe_dump(kept, sort_keys=False))
