@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ahnn.arguments import Count, Seed, Within, checked
 from ahnn.data.grouped_loader import GroupedLoader
-from ahnn.data.loader import EpochLoader, SegmentLoader, WindowLoader
+from ahnn.data.loader import CPU, EpochLoader, SegmentLoader, WindowLoader
 from ahnn.data.measured_statistics import EXAMPLES, measured_statistics
 from ahnn.data.noise_floor import remark_on
 from ahnn.data.segments import Segments, whole
@@ -188,7 +188,7 @@ class WindowDataModule(LightningDataModule):
         if self.stages is None:
             return self._loader("train", self.span, self.windows_per_epoch, seed, self.emphasis)
         steps = max(1, (self.windows_per_epoch or self.batch_size) // self.batch_size)
-        return SegmentLoader(self._stage, steps, seed)
+        return SegmentLoader(self._stage, steps, seed, self._device)
 
     def val_dataloader(self) -> WindowLoader | SegmentLoader:
         """Return the validation batches, the same in every epoch."""
@@ -196,10 +196,15 @@ class WindowDataModule(LightningDataModule):
             return self._loader("val", self.window, self.val_windows, None)
         judged = self.measured("val").part(slice(self.val_windows))
         segments = Segments(judged, None, self.instrument)
-        return SegmentLoader(lambda _: (segments, len(segments)), 0, 0)
+        return SegmentLoader(lambda _: (segments, len(segments)), 0, 0, self._device)
+
+    @property
+    def _device(self) -> torch.device:
+        """Device of the batches of measurements."""
+        return CPU if self.trainer is None else self.trainer.strategy.root_device
 
     def whole(self, split: Split) -> Segment:
-        """Return all measurements of a split, one segment per trajectory."""
+        """Return all measurements of a split on the CPU, one segment per trajectory."""
         return whole(self.measured(split), self.instrument)
 
     def _stage(self, epoch: int) -> tuple[Segments, int]:
@@ -217,7 +222,7 @@ class WindowDataModule(LightningDataModule):
         return segments, asked if intervals is None else min(asked, segments.covering)
 
     def transfer_batch_to_device(self, batch: Any, device: torch.device, dataloader_idx: int) -> Any:
-        """Return the batch unchanged: windows are gathered on the device."""
+        """Return the batch unchanged: loaders gather batches on the device."""
         del device, dataloader_idx
         return batch
 

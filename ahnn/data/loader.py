@@ -17,6 +17,7 @@ from ahnn.data.windows import Windows
 from ahnn.measurements import Segment
 from ahnn.types import Window
 
+CPU = torch.device("cpu")
 AHEAD = 4
 """Number of batches gathered at once when streaming."""
 PERMUTED = 10**8
@@ -177,11 +178,18 @@ class SegmentLoader(EpochLoader):
         segments: function from the epoch to the segments and the batch size.
         steps: batches per epoch; 0 for each segment once, in the stored order.
         seed: seed of the draws, together with the epoch.
+        device: device of the batches.
     """
 
-    def __init__(self, segments: Callable[[int], tuple[Segments, int]], steps: int, seed: int) -> None:
+    def __init__(
+        self,
+        segments: Callable[[int], tuple[Segments, int]],
+        steps: int,
+        seed: int,
+        device: torch.device = CPU,
+    ) -> None:
         super().__init__()
-        self.segments, self.steps, self.seed = segments, steps, seed
+        self.segments, self.steps, self.seed, self.device = segments, steps, seed, device
 
     def __len__(self) -> int:
         """Return the number of batches of an epoch."""
@@ -198,5 +206,5 @@ class SegmentLoader(EpochLoader):
         return [torch.randperm(count, generator=generator)[:size] for _ in range(self.steps)]
 
     def gather(self, batch: Tensor) -> Segment:
-        """Return the segments of a batch."""
-        return self.segments(self.epoch)[0].gather(batch)
+        """Return the segments of a batch, on the device."""
+        return self.segments(self.epoch)[0].gather(batch).to(self.device)

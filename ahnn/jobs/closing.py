@@ -12,6 +12,7 @@ from typing import Any
 from lightning.pytorch.loggers import TensorBoardLogger
 
 from ahnn.checkpoints import as_stored, checksum, read_weights, replace_weights
+from ahnn.data.loader import CPU
 from ahnn.errors import TrainingError
 from ahnn.evaluation import report
 from ahnn.evaluation.case import Case
@@ -68,7 +69,7 @@ def _conclude(prepared: Prepared, best: Path, steps: int) -> None:
     about: dict[str, Any] = {"concluded": True, "trained": reached}
     if found is not None:
         learned, _ = found.taken(dynamics)
-        batch = next(iter(data.val_dataloader()))
+        batch = next(iter(data.val_dataloader())).to(CPU)
         if noise is not None:
             about["noise"] = noise.about()
             seen = noise.applied(train.instrument, unknown)

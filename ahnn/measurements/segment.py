@@ -44,6 +44,12 @@ class Instrument(NamedTuple):
     freedom: Tensor | None = None
     sparse_momenta: bool = False
 
+    def to(self, device: torch.device) -> Instrument:
+        """Return the instrument with its tensors on a device; measurement models follow their states."""
+        colour = None if self.colour is None else Colour(*(part.to(device) for part in self.colour))
+        plain = {name: part.to(device) for name, part in self._asdict().items() if isinstance(part, Tensor)}
+        return self._replace(**plain, colour=colour)
+
 
 class Segment(NamedTuple):
     """Batch of measurement segments with K intervals each and unknown states.
@@ -62,6 +68,10 @@ class Segment(NamedTuple):
     def measured(self) -> Tensor:
         """Number of measured values in each segment, (B,)."""
         return (~self.values.isnan()).sum((1, 2))
+
+    def to(self, device: torch.device) -> Segment:
+        """Return the segments and their instrument on a device."""
+        return Segment(self.values.to(device), self.times.to(device), self.instrument.to(device))
 
     def first(self, intervals: int) -> Segment:
         """Return the segments truncated to their first intervals."""

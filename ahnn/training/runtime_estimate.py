@@ -77,7 +77,7 @@ def shooting_seconds(model: Any, data: WindowDataModule) -> float:
 
     It is timed on the first intervals of trajectories, since untrained dynamics soon diverge.
     """
-    dynamics = copy.deepcopy(model.dynamics).double()
+    dynamics = copy.deepcopy(model.dynamics).double().cpu()  # as in the closing stage
     whole = Segments(data.measured("train"), None, data.instrument)
     batch = whole.gather(torch.arange(min(len(whole), STRETCHES)))
     batch = batch._replace(values=batch.values[:, : STRETCH + 1], times=batch.times[:, : STRETCH + 1])
