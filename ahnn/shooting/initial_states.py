@@ -150,7 +150,7 @@ def fit_starts(
     intervals, start = len(steps.ends) - 1, start.clone()
     name = trial.robust.approach
     first = trial if name is None else trial._replace(robust=ROBUST[name])
-    alive = torch.arange(len(start))
+    alive = torch.arange(len(start), device=start.device)
     for span in growing(intervals, growth):
         part, grid = segment.rows(alive).first(span), steps.rows(alive).first(span)
         fitted = refine(first, start[alive], part, grid, ROUGHLY)

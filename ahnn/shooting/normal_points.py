@@ -45,7 +45,8 @@ def normal_points(now: Linearised, ends: Tensor) -> tuple[Linearised, Tensor]:
 def _of_middles(now: Linearised, ends: Tensor, size: int) -> tuple[Tensor, Tensor]:
     """Return derivatives with respect to central states of groups, (B, G, size M, D), and their indices."""
     last = len(ends) - 1
-    middles = ends[torch.arange(size // 2, last + size // 2 + 1, size).clamp(max=last)]
+    middles = torch.arange(size // 2, last + size // 2 + 1, size, device=ends.device)
+    middles = ends[middles.clamp(max=last)]
     moved = transitions(now.jacobians.to(now.of_state), set(ends[::size].tolist()))
     back = torch.linalg.inv(moved[:, middles])
     return _grouped(now.of_state @ moved[:, ends], size) @ back, middles

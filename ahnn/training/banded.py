@@ -68,10 +68,10 @@ def _blocks(bands: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
     # (B, N, row, column, D, D); the columns are those of the previous block and of this one
     store = bands[0].new_zeros(len(bands[0]), number, many, 2 * many, size, size)
     for distance, band in enumerate(bands):
-        column = torch.arange(count - distance)
+        column = torch.arange(count - distance, device=store.device)
         block, row = (column + distance) // many, (column + distance) % many
         store[:, block, row, column - (block - 1) * many] = band
-    beyond = torch.arange(count, number * many)
+    beyond = torch.arange(count, number * many, device=store.device)
     store[:, beyond // many, beyond % many, beyond % many + many] = torch.eye(size).to(store)
     flat = store.transpose(3, 4).flatten(4, 5).flatten(2, 3)
     return flat[..., many * size :], flat[..., : many * size]

@@ -102,7 +102,8 @@ def accumulated(
         for own in each(summed, some, theta.device):
             total = [one.add_(other) for one, other in zip(total, own, strict=True)] if total else [*own]
     loss, gradient, matrix = total
-    return Equations(loss, degrees, [Block(torch.arange(len(gradient)), matrix, gradient)])
+    columns = torch.arange(len(gradient), device=gradient.device)
+    return Equations(loss, degrees, [Block(columns, matrix, gradient)])
 
 
 def normal_equations(jacobian: Tensor, residuals: Tensor, sizes: Sequence[int]) -> list[Block]:

@@ -103,8 +103,8 @@ def bumps(times: Tensor, present: Tensor, width: int, order: int = 1) -> Tests:
     last = times.shape[1] - 1
     width = max(1, min(max(width, NARROWEST[order]), last // 2))
     stride = max(1, width // PER_WIDTH)
-    begins = torch.arange(0, last - 2 * width + 1, stride)
-    spans = begins.unsqueeze(-1) + torch.arange(2 * width + 1)
+    begins = torch.arange(0, last - 2 * width + 1, stride, device=times.device)
+    spans = begins.unsqueeze(-1) + torch.arange(2 * width + 1, device=times.device)
     of_span = times[:, spans]
     half = (of_span[..., -1:] - of_span[..., :1]) / 2
     u = ((of_span - of_span[..., :1]) / half - 1).clamp(-1, 1)
