@@ -99,9 +99,13 @@ class Increments:
         self._theta: Tensor | None = None
 
     def _gains(self) -> bool:
-        """Return whether a recording is faster; it is not for a step that is a single C operation."""
+        """Return whether a recording is faster; it is not for a step that is a single C operation.
+
+        On a GPU the trace would be compiled anew for that device, which nobody has measured.
+        """
         flow = self.dynamics
-        return is_fixed(flow) and not (isinstance(flow, HamiltonianDynamics) and flow.in_c())
+        on_cpu = next(flow.parameters()).device.type == "cpu"
+        return on_cpu and is_fixed(flow) and not (isinstance(flow, HamiltonianDynamics) and flow.in_c())
 
     def __call__(self, theta: Tensor, x: Tensor, dt: Tensor) -> Tensor:
         """Return x(t + dt) - x(t), (B, D), for the parameters theta, (P,), states x, (B, D), and dt, (B,)."""
