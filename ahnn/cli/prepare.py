@@ -114,7 +114,7 @@ def parts_of(cfg: DictConfig) -> dict[str, Part]:
     data = {key: value for key, value in plain_config(cfg.data).items() if key not in (*SIMULATION, *SENSOR)}
     node = cfg.trainer.copy()
     if cfg.loss.get("stages") and node.accelerator == "auto":
-        node.accelerator = "cpu"  # training on measurements uses the CPU
+        node.accelerator = "cpu"  # small batches and many small operations: a gain on a GPU is not measured
     if node.accelerator in ("gpu", "cuda") and not torch.accelerator.is_available():
         message = "trainer.accelerator: expected a GPU; received none. Use trainer.accelerator=cpu or auto"
         raise UserError(message)

@@ -28,6 +28,8 @@ from ahnn.training import (
 from ahnn.training.finite import require_finite_loss, require_finite_weights
 from ahnn.types import Flow, TimeStep, Window
 
+DEVICES = ("cpu", "cuda")
+"""Types of devices for training on measurements, which needs float64."""
 STAGED = ("val/loss", "val/lost")
 """Metrics logged by validations on measurements."""
 LOOKS = 50
@@ -166,9 +168,9 @@ class AbstractModel(LightningModule, ABC):
             raise UserError(message) from error
 
     def _check_stages(self, trainer: Trainer) -> None:
-        """Reject settings that measurements do not support: other devices than one CPU, unlogged metrics."""
+        """Reject what measurements do not support: several devices, one without float64, unlogged metrics."""
         device = trainer.strategy.root_device.type
-        asked = {"trainer.accelerator": (device, ("cpu",)), "trainer.devices": (trainer.world_size, (1,))}
+        asked = {"trainer.accelerator": (device, DEVICES), "trainer.devices": (trainer.world_size, (1,))}
         for callback in trainer.callbacks:  # pyright: ignore[reportAttributeAccessIssue]
             if isinstance(monitor := getattr(callback, "monitor", None), str):
                 asked[f"{type(callback).__name__}.monitor"] = monitor, STAGED
