@@ -137,6 +137,40 @@ def test_a_lost_loss_ends_a_training(tmp_path, capsys):
     assert "the last good checkpoint is kept" in capsys.readouterr().err
 
 
-def test_measurements_are_learned_from(tmp_path):
-    short = ["budget=smoke", "plugins=none", "trainer.max_epochs=1", "data.trajectories=40"]
-    assert call("ahnn.train", "experiment=pendulum_angles", *short, f"run={tmp_path}") == 0
+MEASURED = [
+    "budget=smoke",
+    "plugins=none",
+    "logger=none",
+    "trainer.max_epochs=2",
+    "data.trajectories=40",
+    "data.windows_per_epoch=600",
+    "model.network.width=8",
+]
+"""Overrides of a short training on measurements."""
+LEARNED = {
+    "shooting": ["experiment=pendulum_angles", "loss.stages=[[4,0.5],[16,1.0]]"],
+    "robust": ["experiment=pendulum_angles", "loss.stages=[[4,0.5],[16,1.0]]", "loss.robust=student"],
+    "weak form": ["experiment=spring_noisy", "loss.stages=[[relative,0.5],[weak,1.0]]"],
+    "gradients": ["experiment=pendulum_angles", "loss.stages=[[4,0.5],[16,1.0]]", "optimizer=adamw"],
+    "members": ["experiment=pendulum_angles", "loss.stages=[[4,0.5],[16,1.0]]", "members=2"],
+}
+
+
+@pytest.mark.parametrize("what", LEARNED)
+def test_measurements_are_learned_from_as_on_the_cpu(what, tmp_path):
+    """Equal validation losses and chi-square within a few per cent: rounding grows over the steps."""
+    found = []
+    for device in ("cpu", "gpu"):
+        run = [*LEARNED[what], *MEASURED, f"trainer.accelerator={device}", f"run={tmp_path / device}"]
+        assert call("ahnn.train", *run) == 0
+        folders = sorted(path.parent for path in (tmp_path / device).rglob("metrics.json"))
+        results = [load_results(folder) for folder in folders]
+        found.append([one.training["val_loss"] for one in results])
+        found[-1] += [one.numbers["measurements"]["chi_square"] for one in results]
+    here, there = found
+    assert len(here) == len(there) >= 2
+    assert there == pytest.approx(here, rel=0.05)
+
+
+def test_measurements_are_learned_from_on_the_cpu_by_default(tmp_path):
+    assert call("ahnn.train", *LEARNED["shooting"], *MEASURED, f"run={tmp_path}") == 0
