@@ -31,7 +31,7 @@ def evaluation_seconds(prepared: Prepared) -> float:
     A plugin's method `rollouts` returns its cost for a given number of samples, in rollouts over them.
     """
     data, plan = prepared.data, prepared.assessment
-    test, dynamics = data.splits["test"], prepared.model.dynamics.frozen()
+    test, dynamics = data.splits["test"], prepared.model.dynamics.frozen().cpu()
     seconds = FIGURES if plan.report.get("figures", True) else 0.0
     count, samples = test.states.shape[:2]
     flows: list[tuple[Flow, int]] = [(dynamics, 2 * count)]

@@ -43,7 +43,7 @@ def calibrate(prepared: Prepared) -> None:
     model.to(trainer.strategy.root_device)
     # The integrator may take shorter steps between measurements; the dynamics are learned for these.
     dt = min(statistics.dt, math.inf if data.sensor is None else data.instrument.longest)
-    domain = find_domain(model.dynamics.frozen(), data.examples()).about()
+    domain = find_domain(model.dynamics.frozen().cpu(), data.examples()).about()
     model.learns_from(dt=dt, domain=domain, seen=data.splits.seen())
     if prepared.recorded and can_record(trainer, model):
         model.step_by(RecordedStep(len(data.train_dataloader().batches()[0])))
