@@ -72,6 +72,7 @@ NOT_RUN = {
     "mutate.py": "hours: the suite runs once for each change",
     "campaign/run.py": "hours: 3,000 cases",
     "bench_gpu.py": "needs a GPU",
+    "trainer.accelerator=gpu": "needs a GPU; tests/test_gpu.py runs it where there is one",
     "ahnn.orbit ": "needs real measurements; tests/tracking/test_orbit_door.py runs it where they are",
     "ahnn.benchmark all": "hours: ten trainings for each model of each task",
     "bench_ensemble_bands": "an hour on shared cores: forty trainings",
