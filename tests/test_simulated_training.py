@@ -49,6 +49,7 @@ def test_a_training_ends_as_on_the_cpu(tmp_path, monkeypatch):
     def on_device(*arguments):
         trainer = build(*arguments)
         trainer.strategy._root_device = DEVICE
+        trainer.accelerator.setup_device = lambda _: None  # that of the CPU refuses other devices
         return trainer
 
     def noted(problem, theta, sizes):
