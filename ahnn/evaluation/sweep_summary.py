@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import yaml
@@ -23,6 +24,8 @@ TRAINING = {"W": "window", "seconds": "seconds", "val loss": "val_loss"}
 """Columns of training information; losses over windows of different W are not comparable."""
 QUANTITIES = ("position", "velocity", "energy")
 OF_SWEEPER = ("trial=", "hydra.sweep.subdir=")
+WORSE = 10.0
+"""Ratio of errors over whole trajectories from which a least loss is called misleading."""
 PRUNED = Path(".hydra", "pruned")
 """Mark that the sweeper leaves in the folder of a pruned job."""
 
@@ -52,8 +55,28 @@ def sweep_table(folder: Path, jobs: list[Path]) -> Table:
         own = OverrideCell([rounded(text) for text in texts if text not in common])
         table.add_row(job.name, own, *cells, style="red" if values is None and not pruned else None)
     table.caption = "W: steps in the loss; losses for different W are not comparable. Scores: true start."
+    if remark := contradiction({job.name: one for job, one in zip(jobs, found, strict=True) if one}):
+        table.caption += f"\n{remark}"
     table.caption_justify = "left"
     return table
+
+
+def contradiction(results: Mapping[str, Results]) -> str | None:
+    """Return a remark if the job of the least validation loss predicts far worse than another, or None."""
+    scored = [
+        (float(one.training["val_loss"]), row.scores.position, name, one.training.get("window"))
+        for name, one in results.items()
+        if one.training.get("val_loss") is not None and (row := one.row(Who(MODEL, "true"))) is not None
+    ]
+    if len({window for *_, window in scored}) != 1:
+        return None
+    least, nearest = min(scored), min(scored, key=lambda job: job[1])
+    if least[1] <= WORSE * nearest[1]:
+        return None
+    return (
+        f"Job {least[2]} has the least val loss, but {least[1] / nearest[1]:.2g} times the error of job "
+        f"{nearest[2]} over whole trajectories."
+    )
 
 
 class OverrideCell:

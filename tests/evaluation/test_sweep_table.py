@@ -53,6 +53,17 @@ def test_each_job_has_its_row(sweep, capsys):
         assert line[1:] == [f"window={line[0]}", *["-"] * 5, "no", "scores"]
 
 
+@pytest.mark.parametrize(("other", "window", "told"), [(0.1, 5, True), (0.2, 5, False), (0.1, 3, False)])
+def test_a_least_loss_beside_a_far_smaller_error_is_said(sweep, capsys, other, window, told):
+    """Job 0 with an error of 1.25 has the least loss; job 3 has a tenth of it or less, or another window."""
+    folder, jobs = sweep
+    better = make_results(Row(MODEL, scores(other, 1.0)), training={"window": window, "val_loss": 1e-8})
+    MetricsSink(jobs[3])(better, Findings())
+    show(sweep_table(folder, [jobs[0], jobs[3]]))
+    out = " ".join(capsys.readouterr().out.split())
+    assert ("Job 0 has the least val loss, but 12 times the error of job 3" in out) is told
+
+
 def test_numbers_are_rounded_and_lines_break_between_overrides(sweep, capsys):
     folder, jobs = sweep
     drawn = ["model.network.width=16", "optimizer.lr=0.026460534159839705", "seed=1234567"]
