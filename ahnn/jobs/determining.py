@@ -84,12 +84,15 @@ def determine(asked: OrbitRequest) -> None:
 
 
 def fit_or_mistake(ready: PreparedOrbit) -> OrbitFit:
-    """Return the fit of a problem; if it fails, raises TrainingError with suspected mistakes."""
+    """Return the fit of a problem; raises TrainingError with the suspected mistake, if any, as its cause."""
     try:
         return orbit_fit(ready.problem)
     except TrainingError as error:
         words = suspected_mistakes(ready.problem, None, ready.rotation)
-        raise TrainingError(". ".join((str(error), *words))) from error
+        if not words:
+            raise
+        message = f"orbit: {'; '.join(words)} (the fit of all measurements failed)"
+        raise TrainingError(message) from error
 
 
 def headline(title: str, fit: OrbitFit) -> list[str]:

@@ -33,6 +33,9 @@ from ahnn.tracking.earth_axes import earth_axes
 
 log = logging.getLogger("ahnn")
 
+PlannedSession = tuple[str, str, str, int]
+"""Name of the instrument, beginning, end and number of measurements."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PlanRequest:
@@ -124,26 +127,24 @@ def plan(asked: PlanRequest) -> None:
     spreads = made.variances.sqrt().tolist()
     table = [row_of(found[k], times, begin, clock) for k in made.chosen]
     title = f"{run.folder.name}: forecast {at:g} {clock} ahead, {len(table)} of {len(found)} sessions"
-    show(
-        "\n".join(
-            [title, *lines_of(table, spreads, position), *beside(rows, forecast, len(table), spreads[-1])]
-        )
-    )
+    lines = [*lines_of(table, spreads, position), *beside(rows, forecast, len(table), spreads[-1])]
+    show("\n".join([title, *aligned(lines)]))
     if asked.output is not None:
         write_atomically(Path(asked.output), as_csv(table, spreads[1:], position).encode())
 
 
-def lines_of(table: list[tuple[str, str, str, int]], spreads: list[float], unit: str) -> list[str]:
-    """Return a line for each session, with the standard deviation of the forecast after it."""
-    lines = [line("", f"position sd [{unit}]"), line("before", f"{spreads[0]:.4g}")]
+def lines_of(table: list[PlannedSession], spreads: list[float], unit: str) -> list[tuple[str, str]]:
+    """Return text and value of each line: a session, and the standard deviation of the forecast after it."""
+    lines = [("", f"position sd [{unit}]"), ("before", f"{spreads[0]:.4g}")]
     for (name, first, last, count), sd in zip(table, spreads[1:], strict=True):
-        lines.append(line(f"{name}, {first} to {last}, {count} measurements", f"{sd:.4g}"))
+        lines.append((f"{name}, {first} to {last}, {count} measurements", f"{sd:.4g}"))
     return lines
 
 
-def line(text: str, value: str) -> str:
-    """Return a line of the summary."""
-    return f"  {text:66s}{value:>22s}".rstrip()
+def aligned(lines: list[tuple[str, str]]) -> list[str]:
+    """Return the lines of the summary, with the values in one column after the longest text."""
+    width = max(66, *(len(text) for text, _ in lines))
+    return [f"  {text:{width}s}{value:>22s}".rstrip() for text, value in lines]
 
 
 def stations_of(file: str, begin: Starts, run: Run) -> list[PlannedSensor]:
@@ -207,7 +208,7 @@ def passes(seen: Tensor) -> list[Tensor]:
     return [part for part in samples.tensor_split(gaps) if len(part)]
 
 
-def row_of(one: Candidate, times: Tensor, begin: Starts, clock: str) -> tuple[str, str, str, int]:
+def row_of(one: Candidate, times: Tensor, begin: Starts, clock: str) -> PlannedSession:
     """Return name, beginning, end and number of measurements; times are epochs if time zero has one."""
     ends = [float(times[int(k)]) + float(begin.times[0]) for k in (one.samples[0], one.samples[-1])]
     if begin.reference.epoch is None:
@@ -219,21 +220,21 @@ def row_of(one: Candidate, times: Tensor, begin: Starts, clock: str) -> tuple[st
     return one.name, first, last, len(one.samples)
 
 
-def beside(rows: list[Tensor], forecast: Tensor, count: int, reached: float) -> list[str]:
+def beside(rows: list[Tensor], forecast: Tensor, count: int, reached: float) -> list[tuple[str, str]]:
     """Compare a plan with equally spaced sessions: the same number, and the number that is as precise."""
     lines = []
     for more in range(count, len(rows) + 1):
         equal = [rows[k] for k in evenly_spaced(len(rows), more)]
         spread = float(variance_with(equal, forecast).sqrt())
         if more == count:
-            lines.append(line(f"{count} sessions at equal spacing", f"{spread:.4g}"))
+            lines.append((f"{count} sessions at equal spacing", f"{spread:.4g}"))
         if spread <= reached:
-            more_of = line(f"{more} sessions at equal spacing", f"{spread:.4g}")
+            more_of = (f"{more} sessions at equal spacing", f"{spread:.4g}")
             return [*lines, more_of] if more > count else lines
     return lines
 
 
-def as_csv(table: list[tuple[str, str, str, int]], spreads: list[float], unit: str) -> str:
+def as_csv(table: list[PlannedSession], spreads: list[float], unit: str) -> str:
     """Return the plan as a table in the order of choice."""
     lines = [f"instrument,begin,end,measurements,sd_after [{unit}]"]
     lines += [",".join((*map(str, row), f"{sd:.6g}")) for row, sd in zip(table, spreads, strict=True)]

@@ -116,17 +116,19 @@ def verdict(row: ResidualRow) -> str:
 
 def table_lines(rows: list[ResidualRow]) -> list[str]:
     """Format the rows as text, with units and diagnoses."""
-    head = f"  {'station':12s}{'kind':12s}{'count':>6s}{'mean':>11s}{'sd':>11s}"
+    kinds = [f"{row.kind}, {SHOWN[row.kind][0]}" for row in rows]
+    first = max([12, *(len(row.station) + 1 for row in rows)])
+    second = max([12, *(len(kind) + 1 for kind in kinds)])
+    head = f"  {'station':{first}s}{'kind':{second}s}{'count':>6s}{'mean':>11s}{'sd':>11s}"
     head += f"{'bias':>13s}{'± 1 sd':>11s}  verdict"
     lines = [head]
-    for row in rows:
-        unit, factor = SHOWN[row.kind]
+    for row, kind in zip(rows, kinds, strict=True):
+        factor = SHOWN[row.kind][1]
         bias, sd = (f"{factor * one:.6g}" if np.isfinite(one) else "" for one in row.bias)
         sd = f"{factor * row.bias[1]:.2g}" if sd else ""
-        kind = f"{row.kind}, {unit}"
         lines.append(
-            f"  {row.station:12s}{kind:12s}{row.number:>6d}{factor * row.mean:>11.3g}{factor * row.sd:>11.3g}"
-            f"{bias:>13s}{sd:>11s}  {verdict(row)}"
+            f"  {row.station:{first}s}{kind:{second}s}{row.number:>6d}{factor * row.mean:>11.3g}"
+            f"{factor * row.sd:>11.3g}{bias:>13s}{sd:>11s}  {verdict(row)}"
         )
     return lines
 

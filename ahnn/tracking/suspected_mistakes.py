@@ -136,7 +136,7 @@ def undone(problem: OrbitProblem) -> Iterator[tuple[str, OrbitProblem]]:
         used = problem.used & (data.station != s)
         if len({*data.station[used].tolist()}) == len(data.stations) - 1 > 0:
             words = (
-                f"the other stations fit without {name}: its position is wrong, or it measured another object"
+                f"{name} has a wrong position or measured another object; the other stations fit without it"
             )
             yield words, replace(problem, used=used)
 

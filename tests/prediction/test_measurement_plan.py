@@ -13,6 +13,7 @@ from entry import call
 from helpers import close
 from test_predict import small
 
+from ahnn.jobs.planning import aligned, lines_of
 from ahnn.prediction.measurement_plan import evenly_spaced, plan_measurements, variance_with
 from ahnn.prediction.propagation import prediction_factors
 
@@ -121,6 +122,13 @@ def test_sessions_of_stations_are_within_their_passes_and_no_longer(tmp_path, mo
     (tmp_path / "plan.csv").write_text("not ours\n")
     assert call("ahnn.plan", *ASKED, *words) == 2
     assert (tmp_path / "plan.csv").read_text() == "not ours\n"
+
+
+def test_values_stand_in_one_column_whatever_the_length_of_a_name():
+    table = [(name, "2024-03-01T12:00:00", "2024-03-01T13:00:00", 6) for name in ("a", "hartebeesthoek")]
+    lines = aligned(lines_of(table, [3.0, 2.0, 1.0], "km"))
+    assert len({len(line) for line in lines}) == 1
+    assert all("measurements " in line for line in lines[2:])
 
 
 @pytest.mark.parametrize(

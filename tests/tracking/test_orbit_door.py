@@ -16,6 +16,8 @@ from simulated import TRUE
 
 from ahnn.cli.pairs import divided
 from ahnn.data.files.messages import read_oem
+from ahnn.errors import TrainingError
+from ahnn.jobs import determining
 from ahnn.tracking.orbit_problem import measured
 from ahnn.tracking.orbit_setup import OrbitSetup
 
@@ -95,6 +97,30 @@ def test_what_is_wrong_is_said_in_one_line(folder, words, said, capsys):
     error = capsys.readouterr().err
     assert said in error
     assert "Traceback" not in error
+
+
+@pytest.mark.parametrize(
+    ("mistakes", "said"),
+    [
+        (
+            ["south has a wrong position"],
+            "orbit: south has a wrong position (the fit of all measurements failed)",
+        ),
+        ([], "no step. Give a closer start"),
+    ],
+)
+def test_a_failed_fit_names_its_cause_in_place_of_a_remedy_that_does_not_help(
+    folder, capsys, monkeypatch, mistakes, said
+):
+    def failed(_):
+        raise TrainingError("no step. Give a closer start")
+
+    monkeypatch.setattr(determining, "orbit_fit", failed)
+    monkeypatch.setattr(determining, "suspected_mistakes", lambda *_: mistakes)
+    assert call("ahnn.orbit", str(folder / "setup.yaml")) == 3
+    error = capsys.readouterr().err
+    assert said in error
+    assert ("closer start" in error) == (not mistakes)
 
 
 def test_a_command_without_a_file_says_how(capsys):

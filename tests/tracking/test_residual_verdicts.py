@@ -10,7 +10,14 @@ from ahnn.systems.gravity import eigen6s
 from ahnn.systems.gravity.ggm05c import PERMANENT_TIDE
 from ahnn.tracking.orbit_forces import gravity_field
 from ahnn.tracking.orbit_setup import GravityChoice, OrbitSetup, setup_of
-from ahnn.tracking.residual_table import ResidualRow, correlation_of, effective, trend_of, verdict
+from ahnn.tracking.residual_table import (
+    ResidualRow,
+    correlation_of,
+    effective,
+    table_lines,
+    trend_of,
+    verdict,
+)
 
 T = np.linspace(0, 36000, 200)
 WHITE = 1e-3 * np.random.default_rng(0).standard_normal(200)
@@ -48,6 +55,16 @@ def test_a_bias_of_the_other_sign_is_said():
     assert of(0.0, (-0.0195, 1e-3), 0.02) == "the given bias, 20 m, has the wrong sign"
     assert of(0.0, (0.0195, 1e-3), 0.02) == "fits"
     assert "sign" not in of(-0.01, (0.02, 0.0), 0.02)
+
+
+def test_columns_are_as_wide_as_the_longest_names():
+    numbers = 50, 0.0, 1e-3, (0.0, np.inf), 0.0, 1e-3, (np.nan, np.nan)
+    pairs = ("hartebeesthoek", "range"), ("here", "right_ascension")
+    head, *lines = table_lines([ResidualRow(*pair, *numbers) for pair in pairs])
+    for line, (station, kind) in zip(lines, pairs, strict=True):
+        assert line.index(f"{station} ") == head.index("station")
+        assert line.index(f" {kind}, ") + 1 == head.index("kind ")
+        assert line.index(" 50 ") + len(" 50") == head.index("count") + len("count")
 
 
 def test_likeness_lowers_how_many_count():

@@ -57,7 +57,7 @@ def test_interchanged_stations_are_named(right):
 def test_a_station_that_stands_elsewhere_is_named(right):
     others = (geodetic_station("south", -35.0, 148.0, 0.8), *STATIONS[1:])
     mistaken = replace(right, model=right.model.of(others, right.model.data))
-    assert named(mistaken).startswith("the other stations fit without south")
+    assert named(mistaken).startswith("south has a wrong position or measured another object; the other")
 
 
 def test_utc_for_ut1_is_named_by_directions_among_the_stars_and_not_by_ranges(right):
