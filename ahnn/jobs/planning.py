@@ -130,7 +130,8 @@ def plan(asked: PlanRequest) -> None:
     lines = [*lines_of(table, spreads, position), *beside(rows, forecast, len(table), spreads[-1])]
     show("\n".join([title, *aligned(lines)]))
     if asked.output is not None:
-        write_atomically(Path(asked.output), as_csv(table, spreads[1:], position).encode())
+        scale = clock if begin.reference.epoch is None else begin.reference.clock or "UTC"
+        write_atomically(Path(asked.output), as_csv(table, spreads[1:], scale, position).encode())
 
 
 def lines_of(table: list[PlannedSession], spreads: list[float], unit: str) -> list[tuple[str, str]]:
@@ -234,8 +235,15 @@ def beside(rows: list[Tensor], forecast: Tensor, count: int, reached: float) -> 
     return lines
 
 
-def as_csv(table: list[PlannedSession], spreads: list[float], unit: str) -> str:
-    """Return the plan as a table in the order of choice."""
-    lines = [f"instrument,begin,end,measurements,sd_after [{unit}]"]
+def as_csv(table: list[PlannedSession], spreads: list[float], scale: str, unit: str) -> str:
+    """Return the plan as a table in the order of choice.
+
+    Args:
+        table: sessions.
+        spreads: standard deviation of the forecast after each session.
+        scale: time scale of the epochs, or unit of the times.
+        unit: unit of the standard deviations.
+    """
+    lines = [f"instrument,begin [{scale}],end [{scale}],measurements,sd_after [{unit}]"]
     lines += [",".join((*map(str, row), f"{sd:.6g}")) for row, sd in zip(table, spreads, strict=True)]
     return "\n".join(lines) + "\n"

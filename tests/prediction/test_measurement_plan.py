@@ -101,7 +101,7 @@ def test_the_first_of_two_fixes_of_a_spring_is_where_it_tells_most(tmp_path, cac
     times = torch.arange(0, 2.05, 0.1, dtype=torch.float64)
     _, factors = factors_of(run, times, torch.tensor([1e-8, 1e-2]).double().diag())
     left = [least_squares([factors[k, :1] / 1e-3], factors[-1, :1]) for k in range(21)]
-    assert float(rows[0]["begin"]) == pytest.approx(float(times[int(np.argmin(left))]))
+    assert float(rows[0]["begin [s]"]) == pytest.approx(float(times[int(np.argmin(left))]))
     assert float(rows[0]["sd_after [m]"]) == pytest.approx(math.sqrt(min(left)), rel=1e-4)
     assert "2 sessions at equal spacing" in capsys.readouterr().out
 
@@ -115,7 +115,10 @@ def test_sessions_of_stations_are_within_their_passes_and_no_longer(tmp_path, mo
     assert len(rows) == 3
     assert rows[0]["instrument"] == "hawaii"  # the other's range is off by 50 km
     assert all(int(row["measurements"]) <= 3 for row in rows)
-    assert all("2024-03-01T12:00:00" <= row["begin"] <= row["end"] <= "2024-03-02T12:00:00" for row in rows)
+    assert all(
+        "2024-03-01T12:00:00" <= row["begin [UTC]"] <= row["end [UTC]"] <= "2024-03-02T12:00:00"
+        for row in rows
+    )
     spreads = [float(row["sd_after [km]"]) for row in rows]
     assert all(after < before for before, after in itertools.pairwise(spreads))
     assert "position sd [km]" in capsys.readouterr().out
