@@ -22,10 +22,12 @@ from ahnn.tracking.orbit_fit import OrbitFit, OrbitProblem, orbit_fit
 from ahnn.tracking.orbit_problem import PreparedOrbit, prepared_orbit
 from ahnn.tracking.orbit_setup import OrbitSetup
 from ahnn.tracking.orbit_tables import (
+    FRAME,
     acceleration_csv,
     learned_acceleration,
     orbit_ephemeris,
     residuals_csv,
+    state_epoch,
     unknowns_csv,
 )
 from ahnn.tracking.residual_table import SHOWN, coverage, pooled, residual_rows, table_lines
@@ -108,6 +110,7 @@ def headline(title: str, fit: OrbitFit) -> list[str]:
     return [
         f"{name}: {count} measurements of {stations} over {hours:.1f} h, {free} unknowns, {ended} in "
         f"{fit.steps} steps",
+        f"estimated state: {FRAME}, at {state_epoch(fit)} UTC",
         "residuals, measured minus predicted:",
     ]
 

@@ -14,10 +14,15 @@ from ahnn.data.files import Covariance, Ephemeris, epochs
 from ahnn.tracking.accelerations.acceleration_of_time import LETTERS, AccelerationOfTime
 from ahnn.tracking.orbit_fit import OrbitFit
 from ahnn.tracking.residual_table import SHOWN
-from ahnn.tracking.tracking_data import KINDS
+from ahnn.tracking.tracking_data import KINDS, UNITS
+from ahnn.tracking.unknowns import START
 
 Array = NDArray[np.float64]
 METRES = 1e3
+FRAME = "GCRF"
+"""Frame of estimated states."""
+ROUNDED = 1e-9
+"""Rounding error of times in s."""
 
 
 def as_csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> bytes:
@@ -51,10 +56,28 @@ def residuals_csv(fit: OrbitFit) -> bytes:
 
 
 def unknowns_csv(fit: OrbitFit) -> bytes:
-    """Format all unknowns with standard deviations, in the units of the fit: km, km/s, rad, weights."""
+    """Format all unknowns with standard deviations and units; the state also with its epoch and frame."""
     names, x, sd = fit.problem.unknowns.names, fit.point.x, fit.deviations
-    rows = ((name, repr(float(value)), f"{one:.6g}") for name, value, one in zip(names, x, sd, strict=True))
-    return as_csv(("name", "value", "sd"), rows)
+    state = (state_epoch(fit), FRAME)
+    rows = (
+        (name, repr(float(value)), f"{one:.6g}", unit, *(state if name in START else ("", "")))
+        for name, value, one, unit in zip(names, x, sd, units_of(fit), strict=True)
+    )
+    return as_csv(("name", "value", "sd", "unit", "epoch_utc", "frame"), rows)
+
+
+def units_of(fit: OrbitFit) -> list[str]:
+    """Return the unit of each unknown; coefficients have 1, weights that of their basis functions."""
+    found = ["km"] * 3 + ["km/s"] * 3
+    for term in fit.problem.forces.terms:
+        unit = f"{term.basis.unit:g} km/s²" if isinstance(term, AccelerationOfTime) else "1"
+        found += [unit] * len(term.parameters)
+    return found + [UNITS[KINDS[kind]] for _, kind in fit.problem.unknowns.bias]
+
+
+def state_epoch(fit: OrbitFit) -> str:
+    """Return the epoch of the estimated state in UTC."""
+    return epochs.spelled(fit.problem.model.data.epoch + round(fit.problem.at * epochs.SECOND), utc=True)
 
 
 def learned_acceleration(
@@ -98,21 +121,37 @@ def acceleration_csv(fit: OrbitFit, term: AccelerationOfTime, place: int, times:
     return as_csv(head, rows)
 
 
+def whole_seconds(fit: OrbitFit, step: float) -> tuple[int, Array]:
+    """Return an epoch and the seconds after it (T,) at which an orbit is written, every `step` seconds.
+
+    Both ends are whole seconds of UTC that enclose measurements and start, within the propagated arc; the
+    last interval may be shorter.
+    """
+    arc, data, at = fit.point.arc, fit.problem.model.data, fit.problem.at
+
+    def second(time: float, up: int) -> int:
+        return (data.epoch + round(time * epochs.SECOND) + up * (epochs.SECOND - 1)) // epochs.SECOND
+
+    first = max(second(min(at, data.times[0]) + ROUNDED, 0), second(arc.first - ROUNDED, 1))
+    last = min(second(max(at, data.times[-1]) - ROUNDED, 1), second(arc.last + ROUNDED, 0))
+    count = int(np.ceil((last - first) / step - ROUNDED))
+    return first * epochs.SECOND, np.append(step * np.arange(count), float(last - first))
+
+
 def orbit_ephemeris(fit: OrbitFit, step: float) -> Ephemeris:
-    """Return the orbit over the arc in GCRF with covariances; states are at most `step` seconds apart."""
+    """Return the orbit over the arc in GCRF with covariances, every `step` seconds from a whole second."""
     arc, data, unknowns = fit.point.arc, fit.problem.model.data, fit.problem.unknowns
-    count = int(np.ceil((arc.last - arc.first) / step)) + 1
-    times = np.linspace(arc.first, arc.last, max(2, count))
+    start, since = whole_seconds(fit, step)
+    times = since + (start - data.epoch) / epochs.SECOND
     by, known = arc.sensitivities(times), fit.covariance[: 6 + unknowns.forces, : 6 + unknowns.forces]
     matrices = by @ known @ by.transpose(0, 2, 1)
-    since = times - times[0]
     return Ephemeris(
         object_id=data.object or "SATELLITE",
         object_name="",
         center="EARTH",
-        frame="GCRF",
+        frame=FRAME,
         time_system="UTC",
-        start=data.epoch + round(times[0] * epochs.SECOND),
+        start=start,
         times=since,
         states=arc.states(times),
         covariances=tuple(Covariance(float(t), matrix) for t, matrix in zip(since, matrices, strict=True)),

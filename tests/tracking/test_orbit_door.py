@@ -54,6 +54,8 @@ def test_an_orbit_is_found_and_written(folder, tmp_path, capsys):
     assert "the last 24 of 120 times, unseen" in said
     (orbit,) = read_oem(out / "orbit.oem")
     assert orbit.frame == "GCRF"
+    assert (orbit.start - EPOCH) % 10**12 == 0
+    assert set(np.diff(orbit.times)[:-1]) == {300.0}
     start = np.argmin(np.abs((orbit.start - EPOCH) / 1e12 + orbit.times))
     known = np.sqrt(np.diagonal(np.asarray(orbit.covariances[start].matrix)))
     assert (known[:3] < 0.05).all()
@@ -66,6 +68,11 @@ def test_an_orbit_is_found_and_written(folder, tmp_path, capsys):
     assert 0.85 < np.mean(inside) < 1.0
     with (out / "unknowns.csv").open() as file:
         unknowns = {row["name"]: row for row in csv.DictReader(file)}
+    assert {(row["epoch_utc"], row["frame"]) for row in unknowns.values()} == {
+        ("2016-02-13T16:00:00.000", "GCRF")
+    }
+    assert [row["unit"] for row in unknowns.values()] == ["km"] * 3 + ["km/s"] * 3
+    assert "estimated state: GCRF, at 2016-02-13T16:00:00.000 UTC" in (out / "summary.txt").read_text()
     off = float(unknowns["x"]["value"]) - TRUE[0]
     assert abs(off) < 4 * float(unknowns["x"]["sd"])
 
