@@ -201,9 +201,13 @@ def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def nearest(name: str, known: Any, otherwise: str = "") -> str:
-    """Return '; did you mean ...?' with a known name that is close, else `otherwise` or the list of names."""
+    """Return '; did you mean ...?' with a known name that is close, else `otherwise` or the list of names.
+
+    Two exchanged neighbours are one slip, so that a name differing by them alone comes first.
+    """
     names = [str(k) for k in known]
-    close = get_close_matches(name, names, n=1)
+    swapped = {name[:k] + name[k + 1] + name[k] + name[k + 2 :] for k in range(len(name) - 1)}
+    close = [one for one in names if one in swapped] or get_close_matches(name, names, n=1)
     return f"; did you mean {close[0]!r}?" if close else otherwise or f"; it takes {', '.join(names)}"
 
 

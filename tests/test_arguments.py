@@ -83,6 +83,7 @@ def test_objects_that_are_built_already_pass():
 
 def test_a_close_name_is_offered_or_all_of_them():
     assert nearest("modle", ["model", "data"]) == "; did you mean 'model'?"
+    assert nearest("strat", ["start", "state"]) == "; did you mean 'start'?"  # the letters of both agree
     assert nearest("plot", ["ckpt", "data"]) == "; it takes ckpt, data"
     assert nearest("plot", ["ckpt", "data"], "; see --help") == "; see --help"
 
