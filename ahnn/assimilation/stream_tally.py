@@ -17,6 +17,11 @@ MANY = 0.05
 """Fraction of rejected measurements that outliers rarely reach."""
 GATED = ("taken", "reopened", "rejected")
 """Outcomes of measurements on which the gate decided."""
+OVERCONFIDENT = (
+    "this one is overconfident, since process noise or measurement noise is set too small, or outliers were "
+    "accepted (gate=)"
+)
+TOO_CAUTIOUS = "this one is too cautious, since process noise or measurement noise is set too large"
 REMEDIES = {
     "none": "Add lines",
     "bad": "The lines above state the faults",
@@ -74,8 +79,8 @@ class StreamTally:
         mean, (low, high) = self.nis / self.numbers, band(1, self.numbers)
         text = f"mean NIS per value {mean:.3g}; a consistent filter has {low:.3g} to {high:.3g}"
         if mean > high:
-            text += ": this one trusts its model or the measurements too much, or accepted outliers (gate=)"
-        return text + (": this one trusts them too little" if mean < low else "") + self._of_the_gate()
+            text += f": {OVERCONFIDENT}"
+        return text + (f": {TOO_CAUTIOUS}" if mean < low else "") + self._of_the_gate()
 
     def _of_the_gate(self) -> str:
         """Return a remark on the fraction of rejected measurements; "" if it is small."""
