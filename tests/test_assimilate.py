@@ -95,7 +95,8 @@ def test_several_stations_speak_in_one_stream_and_the_bias_of_one_is_found(caplo
 
 
 MISTAKES = {
-    "": "expected str; received None",
+    "": "measurements: expected a file of measurements, or - for standard input; received none. Add meas",
+    "measurement=fixes.csv": "received none. Add measurements=FILE; measurement= chooses the sensor",
     "measurements=none.csv": "file none.csv: No such file",
     "measurements=fixes.csv wndow=3": "unknown key 'wndow'; did you mean 'window'?",
     "measurements=fixes.csv window=-1": "window: expected float >= 0; received -1",

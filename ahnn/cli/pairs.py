@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from inspect import signature
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from ahnn.arguments import check_arguments, nearest
 from ahnn.cli.commandline import pair
@@ -38,6 +38,23 @@ def require_known(given: Iterable[str], known: Collection[str]) -> None:
     """Raise UserError for a key that a command does not have."""
     if unknown := [key for key in given if key not in known]:
         message = f"unknown key {unknown[0]!r}{nearest(unknown[0], known, '; --help lists the keys')}"
+        raise UserError(message)
+
+
+def require_input(options: Mapping[str, Any], given: Iterable[str]) -> None:
+    """Raise UserError for a stream without measurements.
+
+    Args:
+        options: values of the keys of the stream.
+        given: command line, in which `measurement=` may have been meant as `measurements=`.
+    """
+    if options["measurements"] is None:
+        chosen = any(text.startswith("measurement=") for text in given)
+        hint = "; measurement= chooses the sensor" if chosen else ""
+        message = (
+            "measurements: expected a file of measurements, or - for standard input; received none. Add "
+            f"measurements=FILE{hint}"
+        )
         raise UserError(message)
 
 

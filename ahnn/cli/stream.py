@@ -21,7 +21,7 @@ from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.cli.build import blaming, build, build_all, plain_config
 from ahnn.cli.compose import composed
 from ahnn.cli.orbit_following import read_following
-from ahnn.cli.pairs import require_known
+from ahnn.cli.pairs import require_input, require_known
 from ahnn.cli.parts import build_sensor, build_source
 from ahnn.cli.reevaluation import GROUPS, KEYS, NODES, OWN, Request, run_config
 from ahnn.cli.stream_gate import AskedGate, with_gate
@@ -107,6 +107,7 @@ def asked(arguments: list[str], usage: str) -> tuple[AssimilationRequest, DictCo
     request = Request.of([text for text in given if _key(text) not in own], usage)
     cfg = composed("assimilate", mine)
     options = plain_config(cfg)
+    require_input(options, given)
     check_arguments("", AssimilationRequest, options)
     return AssimilationRequest(**options), cfg.sensors, request
 
