@@ -14,6 +14,7 @@ from ahnn.assimilation.cells import BadLine, is_missing, number, require_object_
 from ahnn.assimilation.instrument_reading import Reading
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.assimilation.stream_sensor import StreamSensor
+from ahnn.assimilation.unit_mistakes import ELEVATION, steep_elevation
 from ahnn.data.files.columns import control_named
 from ahnn.data.files.table import FINITE, LARGEST, column_of
 from ahnn.data.files.units import factor
@@ -21,8 +22,8 @@ from ahnn.errors import UserError
 
 log = logging.getLogger("ahnn")
 
-TIME, SENSOR, STATION, SD, ELEVATION = ("time", "t"), "sensor", "station", "sd_", "elevation"
-"""Column names of time, sensor and station; prefix of standard deviations; suffix of elevations."""
+TIME, SENSOR, STATION, SD = ("time", "t"), "sensor", "station", "sd_"
+"""Column names of time, sensor and station; prefix of standard deviations."""
 RESERVED = frozenset(',"\n\r')
 """Characters not allowed in an object name, which must be usable as a table cell."""
 
@@ -68,6 +69,7 @@ class Layout:
         self.levelled = False  # whether some elevation was within its limits
         self.names: list[str] | None = None
         self.scales: dict[str, float] = {}
+        self.units: dict[str, str] = {}
         if "\r" in first.strip():
             message = (
                 "measurements: expected lines that end with LF; received CR. Convert them with tr '\\r' '\\n'"
@@ -131,10 +133,8 @@ class Layout:
             if not name.endswith(ELEVATION):
                 continue
             if abs(value) > math.pi / 2:
-                message = (
-                    f"{name}: expected at most pi/2 rad; received {value:g}. "
-                    f"If the values are in degrees, name the column {name} [deg]"
-                )
+                given = self.units.get(name, "rad"), self.scales.get(name, 1.0)
+                message = steep_elevation(name, value, *given)
                 raise BadLine(message) if self.levelled else UserError(message)
             self.levelled |= not math.isnan(value)
 
@@ -253,7 +253,7 @@ class Layout:
         if unit is not None and name in TIME and self.clock is not None:
             self.clock = self.clock.named(unit)
         elif unit is not None and name in self.measured:
-            self.scales[name] = self._scale(name.removeprefix(SD), unit)
+            self.scales[name], self.units[name] = self._scale(name.removeprefix(SD), unit), unit
         return name
 
     def _require_deviations(self, named: set[str]) -> None:

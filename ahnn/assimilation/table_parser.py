@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from ahnn.assimilation.cells import BadLine, is_missing
 from ahnn.assimilation.instrument_reading import Reading
-from ahnn.assimilation.line_parser import ELEVATION, RESERVED, SD, SENSOR, TIME, Layout
+from ahnn.assimilation.line_parser import RESERVED, SD, SENSOR, TIME, Layout
 from ahnn.assimilation.reading_table import Array, Places, ReadingTable
+from ahnn.assimilation.unit_mistakes import ELEVATION
 from ahnn.data.files.table import is_number
 from ahnn.errors import UserError
 

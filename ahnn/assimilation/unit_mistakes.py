@@ -1,4 +1,4 @@
-"""Units that are off by a factor of 1000, seen in rejected measurements beside their predictions."""
+"""Mistakes in units: factors of 1000 in rejected measurements, and elevations above a right angle."""
 
 from __future__ import annotations
 
@@ -17,6 +17,27 @@ NEAR = 0.1
 """Tolerance of the decimal logarithm of a ratio."""
 FACTORS = {3: "1000", -3: "1/1000"}
 """Suspicious ratios by their decimal logarithms."""
+
+ELEVATION, AZIMUTH = "elevation", "azimuth"
+"""Suffixes of the names of these angles."""
+
+
+def steep_elevation(name: str, value: float, unit: str, scale: float) -> str:
+    """Return the message on an elevation above a right angle.
+
+    Args:
+        name: name of the column, which ends with `ELEVATION`.
+        value: value in rad.
+        unit: unit of the column.
+        scale: this unit in rad.
+    """
+    message = f"{name}: expected at most "
+    if scale == 1.0:
+        remedy = f"If the values are in degrees, name the column {name} [deg]"
+        return f"{message}pi/2 rad; received {value:g}. {remedy}"
+    other = name.removesuffix(ELEVATION) + AZIMUTH
+    received = f"{math.pi / 2 / scale:g} {unit}; received {value / scale:g} {unit}"
+    return f"{message}{received}. The columns {other} and {name} may be exchanged"
 
 
 class RejectedRatios:

@@ -1,0 +1,36 @@
+"""Headers of streams: what the units of angles say about a steep elevation, and names of the time column."""
+
+from __future__ import annotations
+
+import pytest
+
+from ahnn.assimilation import StreamSensor
+from ahnn.assimilation.cells import BadLine
+from ahnn.assimilation.line_parser import Layout
+from ahnn.errors import UserError
+from ahnn.measurements import GroundStation
+from ahnn.types import Space, Units
+
+ORBIT = Space("orbit", ("x", "y", "z", "px", "py", "pz"), Units("s", "km", "km/s", "km**2/s**2"))
+STATION = StreamSensor.of(GroundStation(50.0, 10.0), [0.1, 1e-4, 1e-4], ORBIT)
+
+
+def said(header, line, before=()):
+    """Return the message on a line after others."""
+    layout = Layout(header, {"kiruna": STATION})
+    for text in before:
+        layout.reading(text)
+    with pytest.raises(BadLine if before else UserError) as caught:
+        layout.reading(line)
+    return str(caught.value)
+
+
+def test_a_steep_elevation_is_given_in_the_unit_of_its_column():
+    degrees = "time,range [km],azimuth [deg],elevation [deg]"
+    expected = "elevation: expected at most 90 deg; received 247.522 deg. The columns azimuth and elevation "
+    assert said(degrees, "1,3858.7,16.0,247.522") == expected + "may be exchanged"
+    assert said(degrees, "1,3858.7,16.0,247.522", ["0,3858.7,247.5,16.0"]) == expected + "may be exchanged"
+    radians = "elevation: expected at most pi/2 rad; received 4.32. If the values are in degrees, name the "
+    for unit in ("", " [rad]"):
+        header = f"time,range,azimuth{unit},elevation{unit}"
+        assert said(header, "1,3858.7,0.28,4.32") == radians + "column elevation [deg]"
