@@ -47,3 +47,12 @@ def require_object_column(objects: str, cells: Sequence[str]) -> None:
     if objects and objects not in names:
         message = f"objects: expected the name of a column; received {objects!r}{nearest(objects, names)}"
         raise UserError(message)
+
+
+def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Build a JSON object from pairs; raises ValueError for duplicate keys."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        message = "a duplicate key"
+        raise ValueError(message)
+    return found

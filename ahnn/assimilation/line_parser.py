@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ahnn.arguments import nearest
-from ahnn.assimilation.cells import BadLine, is_missing, number, require_object_column
+from ahnn.assimilation.cells import BadLine, is_missing, number, require_object_column, unique
 from ahnn.assimilation.instrument_reading import Reading
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.assimilation.stream_sensor import StreamSensor
@@ -22,8 +22,9 @@ from ahnn.errors import UserError
 
 log = logging.getLogger("ahnn")
 
-TIME, SENSOR, STATION, SD = ("time", "t"), "sensor", "station", "sd_"
-"""Column names of time, sensor and station; prefix of standard deviations."""
+TIME, SENSOR, SD = ("time", "t"), "sensor", "sd_"
+"""Column names of time and sensor; prefix of standard deviations."""
+OTHER_NAMES = {"station": SENSOR, "epoch": TIME[0]}
 RESERVED = frozenset(',"\n\r')
 """Characters not allowed in an object name, which must be usable as a table cell."""
 
@@ -210,7 +211,7 @@ class Layout:
 
     def _called(self, name: str) -> str:
         """Return the canonical name of a column; a single control may have any of the control names."""
-        name = SENSOR if name == STATION else name
+        name = OTHER_NAMES.get(name, name)
         if name in self.known or (ours := control_named(name, self.controls)) == name:
             return name
         if ("", name) not in self.said:
@@ -289,12 +290,3 @@ class Layout:
 def _keys(sensor: StreamSensor) -> set[str]:
     """Return the column names of a sensor's values and of their standard deviations."""
     return {*sensor.columns, *(SD + name for name in sensor.columns)}
-
-
-def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Build a JSON object from pairs; raises ValueError for duplicate keys."""
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        message = "a duplicate key"
-        raise ValueError(message)
-    return found

@@ -7,6 +7,9 @@ import pytest
 from ahnn.assimilation import StreamSensor
 from ahnn.assimilation.cells import BadLine
 from ahnn.assimilation.line_parser import Layout
+from ahnn.assimilation.stream_clock import StreamClock
+from ahnn.assimilation.table_parser import TableParser
+from ahnn.data.files import instant
 from ahnn.errors import UserError
 from ahnn.measurements import GroundStation
 from ahnn.types import Space, Units
@@ -34,3 +37,18 @@ def test_a_steep_elevation_is_given_in_the_unit_of_its_column():
     for unit in ("", " [rad]"):
         header = f"time,range,azimuth{unit},elevation{unit}"
         assert said(header, "1,3858.7,0.28,4.32") == radians + "column elevation [deg]"
+
+
+def test_a_column_epoch_is_the_time_of_a_stream():
+    clock = StreamClock("s", instant("2024-03-01T12:00:00", utc=True), "UTC")
+    date, numbers = "2024-03-01T12:01:00", "3858.7,0.28,0.32"
+    layout = Layout("epoch,sensor,range,azimuth,elevation", {"kiruna": STATION}, clock)
+    line = f"{date},kiruna,{numbers}"
+    assert layout.reading(line).time == 60.0
+    assert TableParser(layout, STATION.columns).of_lines([2], [line]).table.times.tolist() == [60.0]
+    layout = Layout("{", {"kiruna": STATION}, clock)
+    line = f'{{"epoch": "{date}", "range": 3858.7, "azimuth": 0.28, "elevation": 0.32}}'
+    assert layout.reading(line).time == 60.0
+    for other in ("time", "t"):
+        with pytest.raises(UserError, match=r"expected a header with time and .*, each once"):
+            Layout(f"epoch,{other},range", {"kiruna": STATION}, clock)

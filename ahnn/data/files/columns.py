@@ -13,7 +13,7 @@ from ahnn.data.files.kinds import NO_STATION, SIGHTINGS_ALONE
 from ahnn.data.files.sidecar import beside
 from ahnn.data.files.table import Header, Place
 
-TIMES, IDS = ("t", "time"), ("id", "trajectory")
+TIMES, EPOCH, IDS = ("t", "time"), "epoch", ("id", "trajectory")
 Kind = Literal["velocities", "momenta"]
 ROLES = ("time", "id", "positions", "velocities", "momenta", "controls")
 SIDECAR = "Name the columns in a sidecar (docs/data.md)"
@@ -81,9 +81,9 @@ class Roles(NamedTuple):
 def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
     """Determine the roles of columns from a sidecar, or from their names in upper or lower case.
 
-    By name, `t` or `time` is the time and `id` or `trajectory` the trajectory id; `rates_of` defines
-    velocities and momenta, standard deviations begin with `sd_`, `CONTROL` defines controls, and all other
-    columns are positions.
+    By name, `t` or `time` is the time, or `epoch` in a table without them, and `id` or `trajectory` is the
+    trajectory id; `rates_of` defines velocities and momenta, standard deviations begin with `sd_`, `CONTROL`
+    defines controls, and all other columns are positions.
 
     Args:
         header: header of the file.
@@ -100,9 +100,10 @@ def roles(header: Header, named: dict[str, Any], place: Place) -> Roles:
     if known.keys() & {"positions", *NAMES}:
         return selected(known, named, aside)
     time = known.get("time", [i for i, name in enumerate(names) if name.lower() in TIMES])
+    time = time or [i for i, name in enumerate(names) if name.lower() == EPOCH]
     ids = known.get("id", [i for i, name in enumerate(names) if name.lower() in IDS])
     if len(time) != 1 or len(ids) > 1:
-        expected = f"one column named {' or '.join(TIMES)}, and at most one named {' or '.join(IDS)}"
+        expected = f"one column named {', '.join(TIMES)} or {EPOCH}, and at most one named {' or '.join(IDS)}"
         place.refuse(expected, ", ".join(names), SIDECAR)
     rest = [i for i in range(len(names)) if i not in (*time, *ids) and not is_deviation(names[i])]
     controls = known.get("controls", [i for i in rest if CONTROL.fullmatch(names[i].lower())])

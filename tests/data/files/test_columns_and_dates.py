@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from made_files import ORBIT, csv_of, refused, said
 
-from ahnn.data.files import instant
+from ahnn.data.files import Files, instant
 from ahnn.data.files.columns import rates_of
 from ahnn.data.files.table import Fault
 
@@ -170,3 +170,15 @@ def test_rates_have_the_names_of_their_positions(position, velocities, momenta):
     assert set(momenta.split()) <= known["momenta"]
     for kind, names in known.items():
         assert not names & {"xdot", "yvel", "xvel", "2vel", "xmom", "ymomentum"} or position == "x", kind
+
+
+def test_a_column_epoch_is_the_time_of_a_table_without_another(tmp_path):
+    rows = "{0},1,2\n{1},3,4\n{2},5,6\n"
+    dates = [f"2024-03-01T12:00:0{k}.5" for k in range(3)]
+    for head, cells in (("Epoch", dates), ("epoch [s]", [0, 1, 2]), ("t [s]", [0, 1, 2])):
+        (tmp_path / "a.csv").write_text(f"{head},x [m],y [m]\n{rows.format(*cells)}")
+        found = Files("mine", str(tmp_path / "a.csv"))
+        assert found.trajectories.times.tolist() == [[0.0, 1.0, 2.0]]
+        assert found.space.components[:2] == ("x", "y")
+    (tmp_path / "a.csv").write_text("t [s],epoch [m],x [m]\n" + rows.format(0, 1, 2))
+    assert Files("mine", str(tmp_path / "a.csv")).space.components[:2] == ("epoch", "x")

@@ -21,8 +21,8 @@ FAULTS = {
     "infinite": (GOOD.replace("b,0,1,2", "b,0,1,-inf"), "row 4, column vx: expected a finite number"),
     "short row": (GOOD.replace("b,0,1,2", "b,0,1"), "row 4: expected 4 cells, as in the header; received 3"),
     "long row": (GOOD.replace("b,0,1,2", "b,0,1,2,9"), "row 4: expected 4 cells"),
-    "no time": (GOOD.replace("t [s]", "u [s]"), "row 1: expected one column named t or time"),
-    "two times": (GOOD.replace("id", "time [s]"), "expected one column named t or time"),
+    "no time": (GOOD.replace("t [s]", "u [s]"), "row 1: expected one column named t, time or epoch"),
+    "two times": (GOOD.replace("id", "time [s]"), "expected one column named t, time or epoch"),
     "time missing": (GOOD.replace("a,1,2,3", "a,,2,3"), "row 3, column t: expected a time; received none"),
     "duplicate": (
         GOOD.replace("b,1,2,3", "b,0,2,3"),
@@ -43,7 +43,7 @@ FAULTS = {
     "unknown unit": (GOOD.replace("x [km]", "x [miles]"), "column x: expected a unit, a product of powers"),
     "two names of a trajectory": (
         GOOD.replace("x [km]", "trajectory"),
-        "row 1: expected one column named t or time, and at most one named id or trajectory",
+        "row 1: expected one column named t, time or epoch, and at most one named id or trajectory",
     ),
     "no length": (GOOD.replace("x [km]", "x [kg]"), "column x: expected a length, an angle or [1]"),
     "no time unit": (GOOD.replace("t [s]", "t [m]"), "column t: expected a time or [1]; received 'm'"),
