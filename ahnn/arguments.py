@@ -200,7 +200,7 @@ def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def nearest(name: str, known: Any, otherwise: str = "") -> str:
+def nearest(name: str, known: Any, otherwise: str | None = None) -> str:
     """Return '; did you mean ...?' with a known name that is close, else `otherwise` or the list of names.
 
     Two exchanged neighbours are one slip, so that a name differing by them alone comes first.
@@ -208,7 +208,8 @@ def nearest(name: str, known: Any, otherwise: str = "") -> str:
     names = [str(k) for k in known]
     swapped = {name[:k] + name[k + 1] + name[k] + name[k + 2 :] for k in range(len(name) - 1)}
     close = [one for one in names if one in swapped] or get_close_matches(name, names, n=1)
-    return f"; did you mean {close[0]!r}?" if close else otherwise or f"; it takes {', '.join(names)}"
+    listed = f"; it takes {', '.join(names)}" if otherwise is None else otherwise
+    return f"; did you mean {close[0]!r}?" if close else listed
 
 
 PLAIN = {float: (int, float), int: int, str: str, bool: bool, NoneType: NoneType}

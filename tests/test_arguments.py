@@ -86,6 +86,7 @@ def test_a_close_name_is_offered_or_all_of_them():
     assert nearest("strat", ["start", "state"]) == "; did you mean 'start'?"  # the letters of both agree
     assert nearest("plot", ["ckpt", "data"]) == "; it takes ckpt, data"
     assert nearest("plot", ["ckpt", "data"], "; see --help") == "; see --help"
+    assert nearest("plot", ["ckpt", "data"], "") == ""
 
 
 def built(parent, *, size: int, pair: tuple[float, float] = (0.0, 1.0)) -> None: ...

@@ -120,7 +120,8 @@ class Layout:
         if name is None and all(is_missing(row[key]) for key in row.keys() & self.measured):
             return Reading(time, controls=controls)
         if not isinstance(name, str) or name not in self.sensors:
-            message = f"sensor: expected one of {', '.join(self.sensors)}; received {row.get(SENSOR)!r}"
+            expected, guess = ", ".join(self.sensors), nearest(str(name), self.sensors, "")
+            message = f"sensor: expected one of {expected}; received {row.get(SENSOR)!r}{guess}"
             raise BadLine(message)
         sensor = self.sensors[name]
         self.say_unused(name, row)

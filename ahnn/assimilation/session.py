@@ -13,6 +13,7 @@ from ahnn.assimilation.cells import BadLine
 from ahnn.assimilation.instrument_reading import Reading
 from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.online import Assimilation, Diverged
+from ahnn.assimilation.skipped_lines import SkippedLines
 from ahnn.assimilation.stream_estimate import Estimate
 from ahnn.assimilation.stream_session import StreamSession
 from ahnn.assimilation.stream_tally import GATED
@@ -66,6 +67,11 @@ class Session(StreamSession):
     undated: bool = False
 
     @cached_property
+    def skipped(self) -> SkippedLines:
+        """Report of invalid lines."""
+        return SkippedLines()
+
+    @cached_property
     def parser(self) -> TableParser:
         """Parser of lines, once their layout is known."""
         assert self.layout is not None
@@ -83,6 +89,7 @@ class Session(StreamSession):
             self._run(watch)
         finally:
             self.close()
+            self.skipped.conclude()
 
     def _run(self, watch: Watcher | None) -> None:
         while texts := self.lines.arrived(min(TOGETHER, self.every - self.counted % self.every)):
@@ -134,7 +141,7 @@ class Session(StreamSession):
         except BadLine as error:
             lines.popleft()
             self.counts["bad"] += 1
-            log.info("line %d: %s; skipped", number, error)
+            self.skipped.add(number, error)
             return
         except Diverged as error:
             message = f"line {number}: {error}. Start over with a different start, or with larger noise"

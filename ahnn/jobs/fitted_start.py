@@ -18,6 +18,7 @@ from ahnn.assimilation.cells import BadLine
 from ahnn.assimilation.instrument_reading import Reading
 from ahnn.assimilation.line_parser import Layout
 from ahnn.assimilation.lines import Lines
+from ahnn.assimilation.skipped_lines import SkippedLines
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.data.estimate_table import track_names
 from ahnn.data.start_states import Starts, numbered
@@ -150,7 +151,7 @@ def first_readings(
         message = "start: expected measurements=FILE with start=fit, which reads its first lines twice; "
         raise UserError(message + "received standard input")
     found, layout, header = list[tuple[int, Reading]](), None, ""
-    most = TAKEN if wanted is None else round(wanted) if wanted >= 1 else None
+    most, skipped = TAKEN if wanted is None else round(wanted) if wanted >= 1 else None, SkippedLines()
     with Path(file).open("rb") as stream:
         lines = Lines(stream)
         for text in itertools.takewhile(lambda _: most is None or len(found) < most, lines):
@@ -163,10 +164,11 @@ def first_readings(
             try:
                 reading = layout.reading(text)
             except BadLine as error:
-                log.info("line %d: %s; skipped", lines.number, error)
+                skipped.add(lines.number, error)
                 continue
             if not reading.is_empty:
                 found.append((lines.number, reading))
+    skipped.conclude()
     if most is None:
         found = found[: round((wanted or 0.0) * len(found))]
     if not found:
