@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 from torch import Tensor
 
+from ahnn.data.files import units
+from ahnn.data.files.epochs import SECOND
 from ahnn.data.reference import Reference
 
 
@@ -37,6 +39,13 @@ class Starts(NamedTuple):
             return {}
         pairs = zip(self.names, self.titles or self.names, strict=True)
         return {name: title or name for name, title in pairs}
+
+    def first_time(self, unit: str) -> str:
+        """Return the time of the first state in words: its epoch, or a number in a unit of time."""
+        time, reference = float(self.times[0]), self.reference
+        if reference.epoch is None:
+            return f"t = {time:g} {unit}"
+        return reference.spelled(round(time * units.unit(unit).size * SECOND))
 
 
 def numbered(count: int) -> tuple[str, ...]:

@@ -182,7 +182,10 @@ def of_track(path: Path, space: Space) -> Starts:
     names = found.names or (tuple(found.objects) if len(found.objects) == 1 else numbered(1))
     require_finite(found.means)
     titles = tuple(found.objects.get(name, "") for name in names)
-    return Starts(names, found.means, found.times, found.reference, found.covariances, titles=titles)
+    start = Starts(names, found.means, found.times, found.reference, found.covariances, titles=titles)
+    several = f" of each of {len(names)} objects" if len(names) > 1 else ""
+    log.info("start %s: the last estimate%s, %s", path, several, start.first_time(space.units.time))
+    return start
 
 
 def of_files(path: Path, space: Space, *, last: bool, weighed: bool) -> Starts:
@@ -205,6 +208,10 @@ def of_files(path: Path, space: Space, *, last: bool, weighed: bool) -> Starts:
     require_finite(chosen)
     names = files.names if all(files.names) else numbered(len(states))
     found = Starts(names, chosen, moments, reference, titles=files.titles)
+    if second is None and (count := times.shape[1]) > 1:
+        which, at = "last" if last else "first", found.first_time(space.units.time)
+        whose = f"of {count} states" if len(names) == 1 else f"state of each of {len(names)} trajectories"
+        log.info("start %s: the %s %s, %s", path, which, whose, at)
     own = files.trajectories.times[rows, columns]
     if weighed and (matrices := table_covariances(path, kind, own, weighed=True)) is not None:
         scale = factors if files.momenta else factors * space.scales

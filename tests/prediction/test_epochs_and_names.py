@@ -92,3 +92,28 @@ def test_weights_of_an_interrupted_training_are_called_preliminary(caplog):
     caplog.clear()
     assert call("ahnn.predict", *asked) == 0
     assert said not in caplog.text
+
+
+def test_a_start_of_several_states_says_which_one_it_is(caplog):
+    """A prediction begins at the first state of a file, or at the last estimate of a track."""
+    caplog.set_level("INFO", "ahnn")
+    assert call("ahnn.predict", MOLNIYA, message(), "duration=3min", "step=1min", "output=ahead.oem") == 0
+    assert not [text for text in caplog.messages if text.startswith("start start.oem: the first")]
+    Path("plain.csv").write_text("t [min],x,y,z,vx,vy,vz\n2,0,-3145,-6173,10,0,0\n3,9,-3145,-6173,10,0,0\n")
+    Path("plain.yaml").write_text("units: {x: km, y: km, z: km, vx: km/s, vy: km/s, vz: km/s}\n")
+    Path("fixes.csv").write_text("t,x,y,z\n60,0,-3145,-6173\n120,0,-3145,-6173\n")
+    begun = [
+        "measurements=fixes.csv",
+        "+sensors.fix.model=position",
+        "+sensors.fix.sd=[1e4]",
+        "start=ahead.oem",
+    ]
+    assert call("ahnn.assimilate", MOLNIYA, *begun, "start_sd=[1,0.001]", "time=0", "output=track.csv") == 0
+    assert "start ahead.oem: the last of 4 states, 2024-03-01T12:03:00.000" in caplog.messages
+    for start, words in (
+        ("ahead.oem", "the first of 4 states, 2024-03-01T12:00:00.000"),
+        ("plain.csv", "the first of 2 states, t = 120 s"),
+        ("track.csv", "the last estimate, 2024-03-01T12:05:00.000"),
+    ):
+        assert call("ahnn.predict", MOLNIYA, f"start={start}", *SHORT) == 0
+        assert f"start {start}: {words}" in caplog.messages
