@@ -30,9 +30,10 @@ from ahnn.tracking.orbit_tables import (
     state_epoch,
     unknowns_csv,
 )
-from ahnn.tracking.residual_table import SHOWN, coverage, pooled, residual_rows, table_lines
+from ahnn.tracking.residual_table import SHOWN, coverage, event_lines, pooled, residual_rows, table_lines
 from ahnn.tracking.satellite_arc import SatelliteArc
 from ahnn.tracking.suspected_mistakes import orientation_mistake, suspected_mistakes
+from ahnn.tracking.tracking_data import EVENTS
 
 log = logging.getLogger("ahnn")
 
@@ -71,8 +72,10 @@ def determine(asked: OrbitRequest) -> None:
     for remark in ready.problem.model.data.remarks:
         log.info("%s: %s", asked.setup.measurements, remark)
     fit = fit_or_mistake(ready)
-    lines = [*headline(asked.title, fit), *table_lines(residual_rows(fit, ready.problem.used)), *totals(fit)]
-    lines += suspected_mistakes(ready.problem, fit.point, ready.rotation)
+    rows = residual_rows(fit, ready.problem.used)
+    lines = [*headline(asked.title, fit), *table_lines(rows), *totals(fit)]
+    mistakes = suspected_mistakes(ready.problem, fit.point, ready.rotation)
+    lines += mistakes or event_lines(rows, fit.problem.model.data.event)
     if asked.setup.orientation:
         lines += orientation_mistake(ready.rotation.rows, installed_orientation(), ready.rotation)
     lines += learned_lines(ready, fit)
@@ -111,6 +114,7 @@ def headline(title: str, fit: OrbitFit) -> list[str]:
         f"{name}: {count} measurements of {stations} over {hours:.1f} h, {free} unknowns, {ended} in "
         f"{fit.steps} steps",
         f"estimated state: {FRAME}, at {state_epoch(fit)} UTC",
+        f"times: of {EVENTS[data.event]} (event: {data.event}), in UTC",
         "residuals, measured minus predicted:",
     ]
 

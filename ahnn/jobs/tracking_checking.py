@@ -19,9 +19,8 @@ from ahnn.tracking.formats.bulletin_b import read_bulletins
 from ahnn.tracking.formats.sinex import sinex_stations
 from ahnn.tracking.formats.tracking_files import READABLE, read_tracking
 from ahnn.tracking.survey import SeriesSurvey, survey
-from ahnn.tracking.tracking_data import TrackingData
+from ahnn.tracking.tracking_data import EVENTS, TrackingData
 
-EVENTS = {"receive": "reception", "transmit": "transmission", "bounce": "reflection"}
 LISTED = 20
 """Maximum number of listed outliers per series."""
 

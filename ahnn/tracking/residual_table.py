@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ahnn.measurements.ground_station import Event
 from ahnn.tracking.orbit_fit import OrbitFit
-from ahnn.tracking.tracking_data import KINDS
+from ahnn.tracking.tracking_data import EVENTS, KINDS
 
 Array = NDArray[np.float64]
 SHOWN: dict[str, tuple[str, float]] = {
@@ -94,6 +95,16 @@ def trend_of(t: Array, e: Array) -> tuple[float, float]:
     return slope, float(error)
 
 
+def drifts(row: ResidualRow) -> bool:
+    """Return whether the residuals have a significant trend."""
+    return abs(row.trend[0]) > CERTAIN * row.trend[1]
+
+
+def scatters(row: ResidualRow) -> bool:
+    """Return whether the residuals are much larger than the noise."""
+    return row.sd > WIDE * row.noise
+
+
 def verdict(row: ResidualRow) -> str:
     """Return a diagnosis of the residuals of a row in words."""
     unit, factor = SHOWN[row.kind]
@@ -105,13 +116,24 @@ def verdict(row: ResidualRow) -> str:
     whole = row.mean + np.nan_to_num(row.bias[0])
     if row.given and abs(row.given) > error and abs(whole / row.given + 1) < OPPOSITE:
         found.insert(0, f"the given bias, {factor * row.given:.3g} {unit}, has the wrong sign")
-    if abs(row.trend[0]) > CERTAIN * row.trend[1]:
+    if drifts(row):
         found.append(f"drifts by {3600 * factor * row.trend[0]:+.2g} {unit} an hour")
-    if row.sd > WIDE * row.noise:
+    if scatters(row):
         found.append(f"the scatter is {row.sd / row.noise:.1f} times the noise")
     if row.correlation > ALIKE:
         found.append(f"successive residuals correlate ({row.correlation:.2f})")
     return "; ".join(found) or "fits"
+
+
+def event_lines(rows: list[ResidualRow], event: Event) -> list[str]:
+    """Return a line on the event of the times if ranges drift or scatter: light time may be the cause."""
+    if not any(row.kind == "range" and (drifts(row) or scatters(row)) for row in rows):
+        return []
+    return [
+        "ranges that drift or scatter: a possible cause is the light time, since the times are taken as "
+        f"those of {EVENTS[event]} (event: {event}). A sidecar sets event: receive, transmit, or bounce for "
+        "geometric ranges at the stated times"
+    ]
 
 
 def table_lines(rows: list[ResidualRow]) -> list[str]:

@@ -15,6 +15,8 @@ from ahnn.measurements.ground_station import Event
 Kind = Literal["range", "azimuth", "elevation", "range_rate", "right_ascension", "declination"]
 """Kinds of measurements: km, rad or km/s; a range is c times half the two-way light time."""
 KINDS: tuple[Kind, ...] = ("range", "azimuth", "elevation", "range_rate", "right_ascension", "declination")
+EVENTS: dict[Event, str] = {"receive": "reception", "transmit": "transmission", "bounce": "reflection"}
+"""Events tagged by times, in words."""
 UNITS = dict.fromkeys(KINDS, "rad") | {"range": "km", "range_rate": "km/s"}
 
 

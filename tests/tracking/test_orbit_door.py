@@ -50,6 +50,8 @@ def test_an_orbit_is_found_and_written(folder, tmp_path, capsys):
     said = capsys.readouterr().out
     assert "180 measurements of 3 stations" in said
     assert "converged" in said
+    assert "times: of reception (event: receive), in UTC" in said
+    assert "light time" not in said
     assert re.search(r"all range: 60 with a standard deviation of (8|9|10|11)\.?\d* m", said)
     assert "the last 24 of 120 times, unseen" in said
     (orbit,) = read_oem(out / "orbit.oem")

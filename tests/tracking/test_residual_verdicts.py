@@ -14,6 +14,7 @@ from ahnn.tracking.residual_table import (
     ResidualRow,
     correlation_of,
     effective,
+    event_lines,
     table_lines,
     trend_of,
     verdict,
@@ -55,6 +56,22 @@ def test_a_bias_of_the_other_sign_is_said():
     assert of(0.0, (-0.0195, 1e-3), 0.02) == "the given bias, 20 m, has the wrong sign"
     assert of(0.0, (0.0195, 1e-3), 0.02) == "fits"
     assert "sign" not in of(-0.01, (0.02, 0.0), 0.02)
+
+
+@pytest.mark.parametrize(
+    ("kind", "sd", "trend", "named"),
+    [
+        ("range", 1e-3, (0.0, np.inf), False),
+        ("range", 3e-3, (0.0, np.inf), True),
+        ("range", 1e-3, (1e-6, 1e-7), True),
+        ("azimuth", 3e-3, (1e-6, 1e-7), False),
+    ],
+)
+def test_light_time_is_a_possible_cause_of_ranges_that_drift_or_scatter(kind, sd, trend, named):
+    row = ResidualRow("here", kind, 50, 0.0, sd, trend, 0.0, 1e-3, (np.nan, np.nan))
+    lines = event_lines([row], "transmit")
+    assert len(lines) == named
+    assert all("those of transmission (event: transmit)" in line for line in lines)
 
 
 def test_columns_are_as_wide_as_the_longest_names():
