@@ -120,5 +120,5 @@ def deviations(record: AssimilationRecord, space: Space) -> Figure:
 
 def _time(record: AssimilationRecord, space: Space) -> tuple[Array, str]:
     """Return the times of a record, in hours for long time spans in seconds."""
-    hours = space.units.time == "s" and record.time[-1] - record.time[0] > 7200
-    return (record.time / 3600, "h") if hours else (record.time, space.units.time)
+    size, unit = style.plotted_time(float(record.time[-1] - record.time[0]), space.units.time)
+    return record.time / size, unit

@@ -10,6 +10,9 @@ from ahnn.data.files import units
 from ahnn.data.files.epochs import SECOND
 from ahnn.data.reference import Reference
 
+UNKNOWN = "UNKNOWN"
+"""Identifier and name, in an ephemeris message, of the only object if neither is known."""
+
 
 class Starts(NamedTuple):
     """Initial states of predictions or assimilations.

@@ -39,6 +39,8 @@ ERRORS = "viridis"
 LOST = 1e30
 """Absolute value from which on a prediction is treated as lost and excluded from axis limits."""
 NAMES = ("position", "velocity")
+LONG = 7200.0
+"""Time span in s above which axes have hours."""
 PARTED = 5.0
 """Steps longer than this multiple of the median one are not bridged by a line."""
 
@@ -74,8 +76,13 @@ def own_times(case: Case) -> Axis:
 
 def _readable(time: Tensor, unit: str) -> Axis:
     """Convert long time spans in seconds to hours."""
-    long = unit == "s" and float(time.nan_to_num(0.0).max()) > 7200
-    return Axis(time / 3600, "h") if long else Axis(time, unit)
+    size, name = plotted_time(float(time.nan_to_num(0.0).max()), unit)
+    return Axis(time / size, name)
+
+
+def plotted_time(span: float, unit: str) -> tuple[float, str]:
+    """Return the size of the unit of a time axis and its name: hours for long time spans in seconds."""
+    return (3600.0, "h") if unit == "s" and span > LONG else (1.0, unit)
 
 
 def reference(case: Case) -> str:

@@ -18,6 +18,7 @@ from ahnn.assimilation.session import Session, Watcher
 from ahnn.assimilation.stream_figures import figures_of
 from ahnn.assimilation.view import View, said
 from ahnn.data.estimate_table import described, track_names
+from ahnn.data.start_states import UNKNOWN
 from ahnn.evaluation.sinks.figure_files import FORMATS, drawn
 from ahnn.files import write_atomically
 from ahnn.jobs.assimilating_objects import assimilate_objects
@@ -27,8 +28,6 @@ from ahnn.uncertainty import BEYOND
 
 log = logging.getLogger("ahnn")
 
-UNKNOWN = "UNKNOWN"
-"""Name and identifier of an object without any, in messages."""
 EVERY = 1000
 """Number of lines between saved states."""
 

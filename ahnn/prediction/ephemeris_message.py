@@ -7,7 +7,7 @@ import torch
 from ahnn.data.files import Covariance, Ephemeris
 from ahnn.data.files.units import LENGTH, TIME, unit
 from ahnn.data.reference import Reference
-from ahnn.data.starts import Starts
+from ahnn.data.start_states import UNKNOWN, Starts
 from ahnn.errors import UserError
 from ahnn.labels import require_velocities
 from ahnn.prediction.durations import picoseconds
@@ -35,7 +35,7 @@ def require_named(reference: Reference) -> None:
 
 
 def ephemerides(prediction: Prediction, starts: Starts, space: Space) -> list[Ephemeris]:
-    """Return a segment for each trajectory, in km, km/s and s.
+    """Return a segment for each trajectory, in km, km/s and s; a single one without a name is unknown.
 
     Raises:
         UserError: a space without three positions in units of length, or a missing epoch, frame, centre or
@@ -57,7 +57,8 @@ def ephemerides(prediction: Prediction, starts: Starts, space: Space) -> list[Ep
     scale = torch.tensor([km] * 3 + [speed] * 3, dtype=torch.float64)
     times = (prediction.times * second.size).numpy()
     matrices, segments = prediction.covariances, []
-    for b, name in enumerate(starts.names):
+    unnamed = len(starts.names) == 1 and not starts.objects()
+    for b, name in enumerate((UNKNOWN,) if unnamed else starts.names):
         begin = epoch + picoseconds(float(starts.times[b]) + float(prediction.times[0]), space.units.time)
         known = () if matrices is None else (matrices[b] * scale * scale.unsqueeze(1)).numpy()
         since = times - times[0]

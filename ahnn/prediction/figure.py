@@ -27,7 +27,8 @@ def prediction_figure(prediction: Prediction, space: Space, title: str, about: s
     """
     figure = style.canvas(8, 8)
     panels = figure.subplots(2 if prediction.novelty is None else 3, 1, sharex=True)
-    time, n = prediction.times, space.dof
+    size, clock = style.plotted_time(float(prediction.times[-1] - prediction.times[0]), space.units.time)
+    time, n = prediction.times / size, space.dof
     colours = (style.BLUE, style.VERMILLION, style.GREEN, style.PURPLE, style.ORANGE, style.SKY)
     for k, name in enumerate(labels(space)):
         axes, scale = panels[k // n], 1 / float(space.scales[k])
@@ -47,8 +48,8 @@ def prediction_figure(prediction: Prediction, space: Space, title: str, about: s
     for axes, block in zip(panels, ("position", "velocity"), strict=False):
         name, unit = quantity(space, block)
         axes.set_ylabel(f"{name} [{unit}]")
-    style.label_time(panels[-1], style.Axis(time, space.units.time))
-    panels[-1].set_xlabel(f"time after the start [{space.units.time}]")
+    style.label_time(panels[-1], style.Axis(time, clock))
+    panels[-1].set_xlabel(f"time after the start [{clock}]")
     title = title if prediction.deviations is None else f"{title}, with {SIGMAS} sigma"
     panels[0].set_title(f"{title}\n{about}".rstrip())
     return figure

@@ -5,11 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
+import torch
 from entry import call
 from helpers import framed
 from test_starts_from_files import MOLNIYA, NOON, SHORT, STATE, P, first, here, message
 
+import ahnn
 from ahnn.data.files import Covariance, Ephemeris, read_oem, write_oem
+from ahnn.prediction.figure import prediction_figure
+from ahnn.prediction.propagation import Prediction
 
 __all__ = ["here"]
 
@@ -65,6 +70,27 @@ def test_identifier_and_name_of_an_object_pass_from_file_to_file():
             assert call("ahnn.predict", run, "start=ahead.csv", *SHORT, "output=again.oem") == 0
             (found,) = read_oem("again.oem")
             assert (found.object_id, found.object_name) == (ident, name)
+
+
+def test_an_object_without_a_name_is_unknown_in_messages_and_several_are_numbered():
+    dated = [MOLNIYA, "epoch=2024-03-01T12:00:00", "frame=[EME2000,EARTH,UTC]", *SHORT, "output=ahead.oem"]
+    one, two = STATE.tolist(), [STATE.tolist()] * 2
+    for start, names in ((one, ["UNKNOWN"]), (two, ["1", "2"])):
+        assert call("ahnn.predict", *dated, f"start={start}") == 0
+        assert [(found.object_id, found.object_name) for found in read_oem("ahead.oem")] == [
+            (name, name) for name in names
+        ]
+
+
+@pytest.mark.parametrize(("span", "unit", "last"), [(7200.0, "s", 7200.0), (86400.0, "h", 24.0)])
+def test_the_time_axis_of_a_prediction_has_hours_for_long_spans_as_that_of_a_stream(span, unit, last):
+    times = torch.linspace(0, span, 5, dtype=torch.float64)
+    prediction = Prediction(times, torch.zeros(1, 5, 6, dtype=torch.float64))
+    space = ahnn.load("molniya_mechanical").space
+    axes = prediction_figure(prediction, space, "ahead").axes
+    assert axes[-1].get_xlabel() == f"time after the start [{unit}]"
+    assert axes[-1].get_xlim() == (0, last)
+    assert axes[0].lines[0].get_xdata()[-1] == last
 
 
 def test_weights_of_an_interrupted_training_are_called_preliminary(caplog):
