@@ -250,7 +250,9 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
     objects = {} if asked.objects is not None and of_one_state(asked.start) else found.objects()
     if asked.object is not None:
         objects = {next(iter(objects), asked.object): asked.object}
-    return Stream(asked, run.space, filtering, clock, reference, objects, control_names(run), None, line, far)
+    designators = dict(zip(found.names, found.designators, strict=False))
+    about = asked, run.space, filtering, clock, reference, objects, control_names(run), None, line, far
+    return Stream(*about, designators)
 
 
 def carrier(run: Run) -> Callable[[Tensor, Tensor, Tensor], Tensor]:

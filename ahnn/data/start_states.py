@@ -26,6 +26,7 @@ class Starts(NamedTuple):
         since: times (B,) and states (B, D) to which the covariances belong, if they are earlier ones; None if
             the covariances belong to `states`.
         titles: names of the objects besides their identifiers, "" where there is none; empty without any.
+        designators: their international designators, such as 2014-069A; likewise.
     """
 
     names: tuple[str, ...]
@@ -35,6 +36,7 @@ class Starts(NamedTuple):
     covariances: Tensor | None = None
     since: tuple[Tensor, Tensor] | None = None
     titles: tuple[str, ...] = ()
+    designators: tuple[str, ...] = ()
 
     def objects(self) -> dict[str, str]:
         """Return the name of each object by its identifier; empty if trajectories are only numbered."""

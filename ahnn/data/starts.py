@@ -207,7 +207,7 @@ def of_files(path: Path, space: Space, *, last: bool, weighed: bool) -> Starts:
     chosen, moments = states[rows, columns], times[rows, columns]
     require_finite(chosen)
     names = files.names if all(files.names) else numbered(len(states))
-    found = Starts(names, chosen, moments, reference, titles=files.titles)
+    found = Starts(names, chosen, moments, reference, titles=files.titles, designators=files.designators)
     if second is None and (count := times.shape[1]) > 1:
         which, at = "last" if last else "first", found.first_time(space.units.time)
         whose = f"of {count} states" if len(names) == 1 else f"state of each of {len(names)} trajectories"

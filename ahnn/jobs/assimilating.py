@@ -119,4 +119,5 @@ def _pictures(stream: Stream) -> None:
                 write_atomically(Path(options.figures) / f"{name}{suffix}", drawn(figure, suffix))
     if options.oem:
         ((one, name),) = (stream.objects or {UNKNOWN: UNKNOWN}).items()
+        one = stream.designators.get(one) or one
         write_ephemeris(Path(options.oem), record, space, name, stream.reference, one)

@@ -122,7 +122,9 @@ def _last(stream: Stream, catalogue: Catalogue) -> Starts:
     times, beliefs = catalogue.beliefs()
     names, moments = tuple(catalogue.names), torch.from_numpy(times)
     titles = tuple(stream.objects.get(name, "") for name in names)
-    return Starts(names, beliefs.mean, moments, stream.reference, beliefs.covariance, titles=titles)
+    designators = tuple(stream.designators.get(name, "") for name in names)
+    about = names, beliefs.mean, moments, stream.reference, beliefs.covariance, None
+    return Starts(*about, titles, designators)
 
 
 def _lines(path: str, state: Path | None) -> Lines | ParquetRows:

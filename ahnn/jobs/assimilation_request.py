@@ -75,6 +75,7 @@ class Stream(NamedTuple):
         followed: measurements of an orbit determination, used instead of lines.
         fitted: number of the last line to which the start was fitted.
         novelty: distance of states from the training data, 1 at their edge; None if unknown.
+        designators: international designators of the objects by their identifiers, for messages.
     """
 
     asked: AssimilationRequest
@@ -87,6 +88,7 @@ class Stream(NamedTuple):
     followed: FollowedMeasurements | None = None
     fitted: int = 0
     novelty: Callable[[Tensor], Tensor] | None = None
+    designators: dict[str, str] = {}  # noqa: RUF012 - never written to
 
 
 def require_places(options: AssimilationRequest) -> None:

@@ -83,6 +83,7 @@ def together(parts: Sequence[Starts], order: dict[str, int]) -> Starts:
     times = torch.cat([part.times for part in parts])[rows]
     covariances = torch.cat([part.covariances for part in parts if part.covariances is not None])[rows]
     titles = [title for part in parts for title in part.titles or ("",) * len(part.names)]
-    chosen = (tuple(part[k] for k in rows) for part in (names, titles))
-    named, entitled = chosen
-    return Starts(named, states, times, parts[0].reference, covariances, titles=entitled)
+    designators = [one for part in parts for one in part.designators or ("",) * len(part.names)]
+    chosen = (tuple(part[k] for k in rows) for part in (names, titles, designators))
+    named, *about = chosen
+    return Starts(named, states, times, parts[0].reference, covariances, None, *about)

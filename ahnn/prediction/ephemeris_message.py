@@ -64,7 +64,7 @@ def ephemerides(prediction: Prediction, starts: Starts, space: Space) -> list[Ep
         since = times - times[0]
         segments.append(
             Ephemeris(
-                object_id=_plain(name),
+                object_id=_plain((starts.designators[b] if starts.designators else "") or name),
                 object_name=_plain(starts.titles[b] if starts.titles else ""),
                 center=center,
                 frame=frame,

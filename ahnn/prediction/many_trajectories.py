@@ -57,7 +57,8 @@ def finite_prediction(prediction: Prediction, starts: Starts, unit: str) -> tupl
             "%d more of %d trajectories are left out for the same reason", len(lost) - NAMED, len(wrong)
         )
     rest = [None if part is None else part[sound] for part in prediction[1:]]
-    names, titles = (tuple(compress(part, sound.tolist())) for part in (starts.names, starts.titles))
+    about = starts.names, starts.titles, starts.designators
+    names, titles, designators = (tuple(compress(part, sound.tolist())) for part in about)
     known = None if starts.covariances is None else starts.covariances[sound]
     kept = starts._replace(
         names=names,
@@ -66,5 +67,6 @@ def finite_prediction(prediction: Prediction, starts: Starts, unit: str) -> tupl
         covariances=known,
         since=None,
         titles=titles,
+        designators=designators,
     )
     return Prediction(prediction.times, *rest), kept  # pyright: ignore[reportArgumentType]

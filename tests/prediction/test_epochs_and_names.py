@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+import yaml
 from entry import call
 from helpers import framed
+from made_orbits import OMM
 from test_starts_from_files import MOLNIYA, NOON, SHORT, STATE, P, first, here, message
 
 import ahnn
@@ -143,3 +146,26 @@ def test_a_start_of_several_states_says_which_one_it_is(caplog):
     ):
         assert call("ahnn.predict", MOLNIYA, f"start={start}", *SHORT) == 0
         assert f"start {start}: {words}" in caplog.messages
+
+
+def test_name_and_international_designator_of_mean_elements_reach_the_messages():
+    """The catalogue number remains the identifier in tables."""
+    pytest.importorskip("sgp4.api", reason="the extra `orbit` is needed")
+    lines = [
+        "1 00005U 58002B   00179.78495062  .00000023  00000-0  28098-4 0  4753",
+        "2 00005  34.2682 348.7242 1859667 331.7664  19.3264 10.82419157413667",
+    ]
+    Path("a.tle").write_text("\n".join(["0 VANGUARD 1", *lines]) + "\n")
+    Path("b.json").write_text(json.dumps(OMM))
+    Path("fixes.csv").write_text("t,x,y,z\n2000-06-27T18:51:19,7000,0,0\n")
+    stream = ["measurements=fixes.csv", "+sensors.fix.model=position", "+sensors.fix.sd=[1e4]"]
+    stream += ["start_sd=[1e4,10]", "plugins.ukf.process_noise=[1e-3,1e-5]"]
+    for start, name in (("a.tle", "00005"), ("b.json", "5")):
+        assert call("ahnn.predict", MOLNIYA, f"start={start}", *SHORT, "output=out.oem") == 0
+        begun = [f"start={start}", f"output={name}.csv", f"oem={name}.oem"]
+        assert call("ahnn.assimilate", MOLNIYA, *stream, *begun) == 0
+        for file in ("out.oem", f"{name}.oem"):
+            (found,) = read_oem(file)
+            assert (found.object_name, found.object_id) == ("VANGUARD 1", "1958-002B")
+        assert call("ahnn.predict", MOLNIYA, f"start={start}", *SHORT, "output=out.csv") == 0
+        assert yaml.safe_load(Path("out.yaml").read_text())["objects"] == {name: "VANGUARD 1"}

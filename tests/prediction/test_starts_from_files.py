@@ -148,7 +148,7 @@ def test_element_sets_begin_where_sgp4_has_them():
     (found,) = read_oem("out.oem")
     satellite = api.Satrec.twoline2rv(*lines)
     _, position, velocity = satellite.sgp4(satellite.jdsatepoch, satellite.jdsatepochF)
-    assert (found.frame, found.object_id) == ("TEME", "00005")
+    assert (found.frame, found.object_id) == ("TEME", "1958-002B")
     assert np.allclose(found.states[0], [*position, *velocity], rtol=1e-12, atol=0)
 
 

@@ -33,15 +33,19 @@ FIELDS: tuple[tuple[str, int, slice, re.Pattern[str], float], ...] = (
     ("mean motion", 1, slice(52, 63), ANGLE, 20.0),
 )
 """Fields read by SGP4: line, columns, notation, and maximum; ephemeris type 4 belongs to SGP4-XP."""
-UNUSED = "not used: names, classes, designators, mean motion derivatives, set and revolution numbers"
+DESIGNATOR = re.compile(r"(\d\d)(\d{3}[A-Z]{1,3}) *")
+"""Year, number and piece of a launch, columns 10 to 17 of the first line."""
+LONGEST_NAME = 24
+UNUSED = "not used: classes, mean motion derivatives, set and revolution numbers"
 """Fields not needed by SGP4."""
 
 
 class ElementSets(NamedTuple):
-    """The two lines of a set, and the place of the first."""
+    """The two lines of a set, the place of the first, and the name in the line before, "" without one."""
 
     place: Place
     lines: tuple[str, str]
+    title: str = ""
 
 
 def content(
@@ -76,14 +80,16 @@ def orbits_of(text: str, file: str, model: Any, note: Note) -> Iterator[MeanOrbi
     """Yield the orbit of each set; sets with invalid numbers are reported to `note` and skipped."""
     for one in sets_of(text, file, note):
         try:
-            yield MeanOrbit(one.place, one.lines[0][2:7].strip(), satellite_of(model, one), epoch(one))
+            name, satellite = one.lines[0][2:7].strip(), satellite_of(model, one)
+            yield MeanOrbit(one.place, name, satellite, epoch(one), one.title, designator(one))
         except Fault as fault:
             note(fault)
 
 
 def sets_of(text: str, file: str, note: Note) -> list[ElementSets]:
-    """Return the sets of a text; other lines, such as names and comments, are ignored."""
-    lines = [(row, line) for row, line in enumerate(text.split("\n"), 1) if line[:2] in ("1 ", "2 ")]
+    """Return the sets of a text; other lines, such as comments, are ignored."""
+    every = text.split("\n")
+    lines = [(row, line) for row, line in enumerate(every, 1) if line[:2] in ("1 ", "2 ")]
     found: list[ElementSets] = []
     pending: tuple[int, str] | None = None
     damaged: set[int] = set()
@@ -104,11 +110,24 @@ def sets_of(text: str, file: str, note: Note) -> list[ElementSets]:
             pending = None
         else:
             if not damaged & {pending[0], row}:
-                found.append(ElementSets(place._replace(row=pending[0]), (pending[1], line[:LENGTH])))
+                title = title_of(every[pending[0] - 2] if pending[0] > 1 else "")
+                found.append(ElementSets(place._replace(row=pending[0]), (pending[1], line[:LENGTH]), title))
             pending = None
     if pending is not None:
         note(Fault(Place(file, pending[0]), "a line 2 after it", "none"))
     return found
+
+
+def title_of(line: str) -> str:
+    """Return the name in the line before a set; "" for a remark, a line of another set, or an empty one."""
+    name = line.removeprefix("0 ").strip()
+    return "" if len(name) > LONGEST_NAME or line[:2] in ("1 ", "2 ") or name.startswith("#") else name
+
+
+def designator(one: ElementSets) -> str:
+    """Return the international designator of a set, such as 2014-069A; "" without a valid one."""
+    found = DESIGNATOR.fullmatch(one.lines[0][9:17])
+    return "" if found is None else f"{'19' if int(found[1]) >= 57 else '20'}{found[1]}-{found[2]}"
 
 
 def fault_of(line: str, place: Place) -> Fault | None:

@@ -59,7 +59,7 @@ PUBLISHED = (
     *("OBJECT_TYPE", "RCS_SIZE", "COUNTRY_CODE", "LAUNCH_DATE", "SITE", "DECAYED", "APOAPSIS", "PERIAPSIS"),
 )
 """Fields added by catalogues, which are not used."""
-NOT_USED = "not used: designators, classes, mean motion derivatives, set and revolution numbers"
+NOT_USED = "not used: classes, mean motion derivatives, set and revolution numbers"
 TO_2000 = 18263.0
 """Days from 1949-12-31, the SGP4 origin, to 2000-01-01."""
 RANGE = epochs.instant("1957-01-01", utc=True), epochs.instant("2100-01-01", utc=True)
@@ -162,7 +162,8 @@ def _orbit(one: FieldMessage, model: Any, note: Note) -> MeanOrbit:
         note(Remark(one.place, f"not OMM keywords, ignored: {', '.join(other)}", "", "warning"))
     title = one.values.get("OBJECT_NAME", "")
     name = one.values.get("NORAD_CAT_ID") or title or one.text("OBJECT_ID")
-    return MeanOrbit(one.place, name, _satellite(values, start, model), start, title)
+    satellite, designator = _satellite(values, start, model), one.values.get("OBJECT_ID", "")
+    return MeanOrbit(one.place, name, satellite, start, title, designator)
 
 
 def _unit_of(key: str) -> str:

@@ -36,6 +36,7 @@ class Recordings(ABC):
         trajectories: recorded trajectories, NaN where missing.
         names: names of the trajectories.
         titles: names of their objects besides these identifiers, "" where there is none.
+        designators: international designators of these objects, "" where there is none.
 
     Raises:
         UserError: a trajectory without a complete sample, or with too long a gap.
@@ -114,6 +115,7 @@ class Recordings(ABC):
         whole = [part._replace(values=widened(part, dof) * factor) for part in parts]
         self.names = tuple(part.name for part in parts)
         self.titles = tuple(part.title for part in parts)
+        self.designators = tuple(part.designator for part in parts)
         log.info("%s: %s", self.space.name, described(self.space, parts, contents[0]))
         return stacked(whole, linear=linear)
 

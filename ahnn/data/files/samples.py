@@ -32,6 +32,7 @@ class Track(NamedTuple):
         values: (T, C) values, NaN where missing.
         controls: (T, m) controls, each valid from its sample; None without controls.
         title: name of the object besides its identifier `name`; "" if there is none.
+        designator: its international designator, such as 2014-069A; "" if `name` is all that is known.
     """
 
     name: str
@@ -41,12 +42,13 @@ class Track(NamedTuple):
     values: Array
     controls: Array | None = None
     title: str = ""
+    designator: str = ""
 
     def part(self, chosen: NDArray[Any] | slice) -> Track:
         """Return selected samples."""
         controls = None if self.controls is None else self.controls[chosen]
         parts = self.rows[chosen], self.times[chosen], self.values[chosen], controls
-        return Track(self.name, self.file, *parts, self.title)
+        return Track(self.name, self.file, *parts, self.title, self.designator)
 
 
 def by_id(ids: Sequence[str], track: Track) -> list[Track]:

@@ -31,6 +31,7 @@ class MeanOrbit(NamedTuple):
         satellite: `Satrec` of the package sgp4.
         epoch: epoch in picoseconds (`epochs.instant`).
         title: name of the satellite besides its identifier `name`; "" if there is none.
+        designator: international designator, such as 2014-069A; "" if there is none.
     """
 
     place: Place
@@ -38,6 +39,7 @@ class MeanOrbit(NamedTuple):
     satellite: Any
     epoch: int
     title: str = ""
+    designator: str = ""
 
 
 def sgp4_content(
@@ -108,4 +110,4 @@ def propagated(model: Any, one: MeanOrbit, times: NDArray[np.float64]) -> Track:
         )
     rows = np.full(len(times), one.place.row, dtype=np.int64)
     states = np.concatenate((positions, velocities), axis=1)
-    return Track(one.name, one.place.file, rows, times, states, title=one.title)
+    return Track(one.name, one.place.file, rows, times, states, None, one.title, one.designator)

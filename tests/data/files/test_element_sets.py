@@ -42,6 +42,31 @@ def test_names_and_remarks_are_no_lines_of_a_set():
     assert sets("# 1 remark", "VANGUARD 1", FIRST, SECOND, "", "OTHER", *OTHER, "1 2 3") == ([3, 7], [])
 
 
+def test_the_line_before_a_set_may_name_it():
+    """Names have at most 24 characters (26 with the 0 of some catalogues); other lines are no names."""
+    names = {
+        "VANGUARD 1": "VANGUARD 1",
+        "0 VANGUARD 1  ": "VANGUARD 1",
+        "# 1 remark": "",
+        "": "",
+        "V" * 25: "",
+    }
+    for line, title in {**names, "": ""}.items():
+        first, second = elements.sets_of("\n".join([line, FIRST, SECOND, *OTHER]), "a.tle", pytest.fail)
+        assert (first.title, second.title) == (title, "")
+        assert elements.designator(first) == "1958-002B"
+    (alone,) = elements.sets_of(f"{FIRST}\n{SECOND}", "a.tle", pytest.fail)
+    assert alone.title == ""
+    for field, designator in {
+        "14069A  ": "2014-069A",
+        "56001ABC": "2056-001ABC",
+        "        ": "",
+        "14069   ": "",
+    }.items():
+        one = alone._replace(lines=(f"{FIRST[:9]}{field}{FIRST[17:]}", SECOND))
+        assert elements.designator(one) == designator
+
+
 def test_signs_behind_the_checksum_are_no_part_of_a_set():
     (one,) = elements.sets_of(f"{FIRST}  x\n{SECOND} y 12", "a.tle", pytest.fail)
     assert one.lines == (FIRST, SECOND)

@@ -65,7 +65,7 @@ def test_epoch_name_and_what_is_not_used(notation):
     found = read(omm(notation), notes.append)
     assert found.epoch == instant("2000-06-27T18:50:19.733568", utc=True)
     assert found.tracks[0].name == "5"
-    assert [one.what[:55] for one in notes] == ["not used: designators, classes, mean motion derivatives"]
+    assert [one.what[:55] for one in notes] == ["not used: classes, mean motion derivatives, set and rev"]
 
 
 def test_several_messages_are_several_trajectories():
