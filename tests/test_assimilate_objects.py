@@ -58,6 +58,23 @@ def rows_of(name):
         return list(csv.DictReader(file))
 
 
+@pytest.mark.parametrize("more", [[], ["workers=2", "state=kept"]])
+def test_objects_beyond_the_training_data_are_counted_and_the_farthest_is_named(place, caplog, more):
+    """Two of them at 1.2 and 2 times the radius of the perigees, each with one measurement."""
+    path, fixes = place / "starts.csv", ["time,sat,x,y,z"]
+    lines = path.read_text().splitlines()
+    for b, share in enumerate((1.0, 1.2, 1.0, 2.0)):
+        far = [share * x for x in STARTS[b, :3].tolist()]
+        lines[b + 1] = ",".join((f"S{b},0", *map(repr, far), *lines[b + 1].split(",")[5:]))
+        fixes.append(",".join((f"0,S{b}", *map(repr, far))))
+    path.write_text("\n".join(lines) + "\n")
+    (place / "fixes.csv").write_text("\n".join(fixes) + "\n")
+    assert assimilate(*GIVEN, "output=track.csv", *more) == 0
+    (said,) = [text for text in caplog.messages if text.startswith("novelty")]
+    far = float(RUN.novelty(STARTS[3] * torch.tensor([2.0, 2.0, 2.0, 1.0, 1.0, 1.0])))
+    assert f"of 2 of 4 objects lie beyond the training data, that of S3 {far:.3g} times as far" in said
+
+
 @pytest.mark.usefixtures("place")
 def test_objects_are_as_in_commands_of_their_own_and_their_states_are_starts(caplog):
     assert assimilate(*GIVEN, "output=track.csv", "states=last.csv", "every=50") == 0

@@ -24,6 +24,7 @@ from ahnn.data.starts import Starts
 from ahnn.jobs.assimilation_request import AssimilationRequest, Stream, opened
 from ahnn.prediction import output
 from ahnn.prediction.propagation import Prediction
+from ahnn.uncertainty import BEYOND
 
 log = logging.getLogger("ahnn")
 
@@ -108,13 +109,27 @@ def conclude(stream: Stream, found: CatalogueOutcome) -> None:
     log.info("%s objects, %d of them lost", f"{len(last.names):,}", found.lost)
     if verdict := tally.verdict():
         log.info(verdict)
-    for remark in tally.of_sensors():
+    for remark in (*tally.of_sensors(), *_of_novelty(stream, last)):
         log.warning(remark)
     if stream.asked.states:
         assert last.covariances is not None
         states = Prediction(last.times.new_zeros(1), last.states[:, None], last.covariances[:, None])
         output.write(Path(stream.asked.states), states, last, stream.space, correlated=True)
     tally.require_followed()
+
+
+def _of_novelty(stream: Stream, last: Starts) -> list[str]:
+    """Return a remark on objects whose last estimates are beyond the training data, if there are any."""
+    if stream.novelty is None:
+        return []
+    far = stream.novelty(last.states[:, : len(stream.space.components)]).nan_to_num(0.0)
+    count, worst = int((far > BEYOND).sum()), int(far.argmax())
+    remark = (
+        f"novelty: the last estimates of {count:,} of {len(far):,} objects lie beyond the training data, "
+        f"that of {last.names[worst]} {float(far[worst]):.3g} times as far as its edge. Errors there may be "
+        "far larger than the standard deviations"
+    )
+    return [remark] if count else []
 
 
 def _last(stream: Stream, catalogue: Catalogue) -> Starts:
