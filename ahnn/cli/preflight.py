@@ -13,7 +13,6 @@ from ahnn.cli.importing import import_torchmetrics, importing
 from ahnn.cli.settings import check_settings
 from ahnn.errors import UserError
 from ahnn.manifest import require_folder
-from ahnn.stored import SAVED
 
 HINTS = (
     ".*smaller than the logging interval.*",
@@ -63,6 +62,7 @@ def require_new(folder: Path, ckpt: str | None) -> None:
         UserError: the folder contains checkpoints but none is resumed, a saved model, or foreign files.
     """
     from ahnn.evaluation.sinks.figure_files import pictures_in
+    from ahnn.stored import SAVED
 
     if (folder / SAVED).exists():
         message = (
