@@ -7,7 +7,7 @@ import logging
 import pytest
 from following import SENSORS, SPACE, make, readings, session, written
 
-from ahnn.assimilation import Reading
+from ahnn.assimilation import Reading, skipped_lines
 from ahnn.assimilation.cells import BadLine
 from ahnn.assimilation.line_parser import Layout
 from ahnn.assimilation.online import Diverged
@@ -34,7 +34,10 @@ BAD = [
 
 
 @pytest.mark.parametrize("gate", [None, Gate(0.9999)])
-def test_what_no_filter_can_take_is_a_bad_line_and_the_rest_as_without_it(tmp_path, caplog, gate):
+def test_what_no_filter_can_take_is_a_bad_line_and_the_rest_as_without_it(
+    tmp_path, caplog, gate, monkeypatch
+):
+    monkeypatch.setattr(skipped_lines, "SAID", len(BAD) + len(UNGATED))  # each of them is reported
     found = readings(20)
     clean = [HEAD, *(f"{line}," for line in written(found).splitlines()[1:])]
     bad = [*BAD, *(UNGATED if gate is None else [])]
