@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from ahnn.arguments import Finite, Positive
 from ahnn.data.starts import Starts
+from ahnn.errors import UserError
 from ahnn.evaluation.terminal import show
 from ahnn.jobs.asked_starts import asked_starts
 from ahnn.jobs.control_times import moments_of
@@ -56,6 +57,9 @@ def predict(asked: PredictionRequest) -> None:
         UserError: a missing run, invalid starts, or an output that cannot be written.
         TrainingError: every trajectory has predicted states that are not finite.
     """
+    if asked.covariances and asked.output is None:
+        message = "covariances: expected output=FILE, a table to contain them; received none. Add output="
+        raise UserError(message)
     asked = replace(asked, run=opened(asked.run))
     workers = None if asked.workers is None else Workers.of(asked.workers)
     if workers is not None:

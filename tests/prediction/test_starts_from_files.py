@@ -53,6 +53,7 @@ def deviations(row):
         ({"frame": "TNW"}, ["frame=[GCRF]"], "expected frame GCRF, as in the model; received TNW"),
         ({"clock": "UT1"}, ["frame=[EME2000,EARTH,UTC]"], "time system: expected UT1, or both of UTC"),
         ({}, ["epoch=2024-03-01T12:00:00"], "epoch: expected none, since the start file has its own"),
+        ({}, ["output=null", "covariances=true"], "covariances: expected output=FILE, a table to contain"),
         ({"axes": "TNW"}, [], "expected a covariance in EME2000 or RTN; received one in TNW"),
     ],
 )
