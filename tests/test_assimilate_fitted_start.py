@@ -67,6 +67,23 @@ def test_errors_of_fitted_starts_have_their_covariance():
     assert 3 < sum(found) / 8 < 10
 
 
+def test_dates_of_the_measurements_define_time_zero_where_the_model_has_none():
+    """The rows are those of the same measurements with times in seconds, with their epochs."""
+    assert assimilate() == 0
+    plain = rows()
+    head, *lines = Path("fixes.csv").read_text().splitlines()
+    dated = [
+        f"2024-03-01T05:{k * 15 // 60:02d}:{k * 15 % 60:02d},{line.split(',', 1)[1]}"
+        for k, line in enumerate(lines)
+    ]
+    Path("fixes.csv").write_text("\n".join(["# cell 1", head, *dated]) + "\n")
+    assert assimilate("output=dated.csv") == 0
+    found = list(csv.DictReader(Path("dated.csv").read_text().splitlines()))
+    assert found[0]["epoch"][:19] == "2024-03-01T05:05:00"
+    for one, other in zip(found, plain, strict=True):
+        assert float(one["x"]) == pytest.approx(float(other["x"]), abs=1e-3)
+
+
 def test_outliers_do_not_spoil_the_fit():
     lines = Path("fixes.csv").read_text().splitlines()
     time, x, *rest = lines[4].split(",")

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from contextlib import suppress
+from itertools import islice
+from pathlib import Path
 from typing import NamedTuple
 
 import torch
@@ -11,7 +14,7 @@ from torch import Tensor
 
 from ahnn.assimilation.cells import BadLine
 from ahnn.assimilation.stream_clock import StreamClock
-from ahnn.data.files.epochs import spelled
+from ahnn.data.files.epochs import CODE, instant, spelled
 from ahnn.data.reference import Reference
 from ahnn.data.starts import Starts
 from ahnn.deviations import state_deviations
@@ -21,6 +24,8 @@ from ahnn.types import Space
 
 log = logging.getLogger("ahnn")
 
+HEAD = 50
+"""Number of lines in which the first date is looked for."""
 Carry = Callable[[Tensor, Tensor, Tensor], Tensor]
 """Function of states (1, D), times (2,) and covariances (1, D, D): propagates the latter to the second time.
 """
@@ -131,3 +136,31 @@ def dated(text: str, clock: StreamClock) -> float:
         return clock.time(text)
     except BadLine as error:
         raise UserError(str(error)) from error
+
+
+def begin_fitted(ours: Reference, file: str, unit: str) -> Begin:
+    """Return the clock of a stream whose start is fitted; time zero is the model's, or else the first date.
+
+    A model whose forces do not depend on time is the same from any epoch, so the data may define time zero.
+
+    Args:
+        ours: reference of the model, with the epoch of time zero if known.
+        file: path of the measurements.
+        unit: unit of time.
+    """
+    clock = ours.clock or "UTC"
+    if ours.epoch is None and (first := first_date(file, utc=clock == "UTC")) is not None:
+        ours = ours._replace(epoch=first, clock=clock)
+    return Begin(StreamClock(unit, ours.epoch, clock), 0.0, ours)
+
+
+def first_date(file: str, *, utc: bool) -> int | None:
+    """Return the first epoch with a time of day in the first lines of a file; None if there is none."""
+    if not Path(file).is_file():
+        return None
+    with Path(file).open(encoding="utf-8", errors="replace") as stream:
+        lines = [line for line in islice(stream, HEAD) if not line.startswith("#")]
+    for found in (one for line in lines for one in CODE.finditer(line) if one["hour"]):
+        with suppress(ValueError):
+            return instant(found[0], utc=utc)
+    return None

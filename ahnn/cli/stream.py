@@ -16,8 +16,7 @@ from ahnn.arguments import check_arguments
 from ahnn.assimilation import Assimilation, Catalogue, Process, StreamSensor
 from ahnn.assimilation.assimilation_record import require_orbit
 from ahnn.assimilation.object_shard import ObjectShard
-from ahnn.assimilation.start import Begin, begin, belief_of
-from ahnn.assimilation.stream_clock import StreamClock
+from ahnn.assimilation.start import begin, begin_fitted, belief_of
 from ahnn.cli.build import blaming, build, build_all, plain_config
 from ahnn.cli.compose import composed
 from ahnn.cli.orbit_following import read_following
@@ -205,7 +204,7 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
     ours = Reference.of(run.space.frame).chosen(named).since(asked.epoch)
     fit, unit = asked.start == "fit", run.space.units.time
     if fit:
-        clock, time, reference = Begin(StreamClock(unit, ours.epoch, ours.clock or "UTC"), 0.0, ours)
+        clock, time, reference = begin_fitted(ours, asked.measurements, unit)
         found = Starts((), torch.empty(0), torch.empty(0))
     else:
         found = starts(asked.start, run.space, ours, sd=asked.start_sd, last=True)
