@@ -96,6 +96,20 @@ def test_the_time_axis_of_a_prediction_has_hours_for_long_spans_as_that_of_a_str
     assert axes[0].lines[0].get_xdata()[-1] == last
 
 
+def test_standard_deviations_have_a_panel_of_their_own():
+    """Their values in the units of the table; those of an exact component are left out."""
+    times, space = torch.arange(3, dtype=torch.float64), ahnn.load("molniya_mechanical").space
+    sd = torch.tensor([0.0, 0.1, 20.0], dtype=torch.float64)
+    covariances = (sd[:, None] ** 2 * torch.ones(6, dtype=torch.float64) * space.scales**2).diag_embed()[None]
+    figure = prediction_figure(Prediction(times, torch.zeros(1, 3, 6).double(), covariances), space, "ahead")
+    panel = figure.axes[2]
+    assert (len(figure.axes), panel.get_yscale()) == (3, "log")
+    assert panel.get_ylabel() == "standard deviation\n[km]"
+    for line in panel.lines:
+        assert line.get_ydata()[1:] == pytest.approx([0.1, 20.0])
+        assert line.get_ydata()[0] != line.get_ydata()[0]
+
+
 def test_weights_of_an_interrupted_training_are_called_preliminary(caplog):
     """By each command that uses them, with the way to resume; the sidecar of a prediction says so too."""
     run = framed(Path("run"), "EME2000, EARTH, UTC, from 2024-03-01T12:00:00.000")
