@@ -20,7 +20,7 @@ PLOTTED = 300
 def prediction_figure(prediction: Prediction, space: Space, title: str, about: str = "") -> Figure:
     """Plot the first predicted trajectory: positions, velocities, standard deviations, and novelty.
 
-    The standard deviations of positions have their own panel, since a band of 100 m cannot be seen on an orbit.
+    The standard deviations of positions have their own panel, since a band of 100 m is invisible on an orbit.
 
     Args:
         prediction: predicted states.
@@ -43,7 +43,7 @@ def prediction_figure(prediction: Prediction, space: Space, title: str, about: s
             axes.fill_between(time, value - SIGMAS * sd, value + SIGMAS * sd, color=colour, alpha=0.25, lw=0)
             if k < n:
                 panels[2].semilogy(time, sd.where(sd > 0, torch.nan), color=colour, label=name)
-    if far:
+    if prediction.novelty is not None:
         panels[-1].plot(time, prediction.novelty[0], color=style.BLACK)
         panels[-1].axhline(1.0, color=style.VERMILLION, ls="--", lw=1, label="edge of the\ntraining data")
         panels[-1].set_ylabel("novelty")
