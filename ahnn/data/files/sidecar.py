@@ -12,6 +12,7 @@ import yaml
 from ahnn.arguments import nearest
 from ahnn.contents import plain_yaml
 from ahnn.data.files.table import Header, Place
+from ahnn.data.files.unit_suffixes import with_suffixes
 from ahnn.files import write_atomically
 from ahnn.manifest import require_own
 
@@ -76,11 +77,12 @@ def parse(text: str, file: str) -> Sidecar:
 
 
 def with_units(header: Header, sidecar: Sidecar, place: Place) -> Header:
-    """Add the units of a sidecar to a header.
+    """Add the units of a sidecar to a header; without a sidecar names may end with units.
 
     Raises:
         UserError: a missing column, or a unit that contradicts the header.
     """
+    header = header if sidecar.units or sidecar.columns else with_suffixes(header)
     units = dict(zip(header.names, header.units, strict=True))
     for name, text in sidecar.units.items():
         if name not in units:

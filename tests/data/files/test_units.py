@@ -7,6 +7,8 @@ import math
 import pytest
 from scipy import constants
 
+from ahnn.data.files.table import Header
+from ahnn.data.files.unit_suffixes import with_suffixes
 from ahnn.data.files.units import BASE, unit
 
 
@@ -57,3 +59,26 @@ def test_each_name_has_the_size_that_scipy_gives_it():
 def test_what_is_no_unit(text):
     with pytest.raises(ValueError, match="a product of powers of kg"):
         unit(text)
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        ("t_s x_km vx_km_s", "t [s]; x [km]; vx [km/s]"),
+        ("Time_min Y_m v_y_m_s sd_Y_m", "Time [min]; Y [m]; v_y [m/s]; sd_Y [m]"),
+        ("t_h theta_deg omega_deg_s", "t [h]; theta [deg]; omega [deg/s]"),
+        ("t_d q1_mm v1_mm_s x_dot_m_h", "t [d]; q1 [mm]; v1 [mm/s]; x_dot [m/h]"),
+        ("t_km x_s vx_km x_m2 x_kg", "t_km; x_s; vx_km; x_m2; x_kg"),  # of other dimensions
+        ("mast_m u_m x_east", "mast_m; u_m; x_east"),  # of other names
+        ("t x x_km", "t; x; x_km"),  # x is there
+    ],
+)
+def test_units_may_end_the_usual_names(names, expected):
+    given = names.split()
+    found = with_suffixes(Header(tuple(given), (None,) * len(given)))
+    written = [f"{name} [{own}]" if own else name for name, own in zip(*found, strict=True)]
+    assert "; ".join(written) == expected
+
+
+def test_units_in_brackets_come_before_those_in_names():
+    assert with_suffixes(Header(("t_s", "x_km"), ("min", None))) == Header(("t_s", "x"), ("min", "km"))
