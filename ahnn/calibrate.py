@@ -4,6 +4,7 @@ KEY=VALUE           as for ahnn.train; the data must be measurements of a system
 draws=20            number of draws of constants, starts, noise and weights, each with a separate training run
 spread=0.1          standard deviation of the logarithms of the system's constants; 0 keeps them
 fitted=0.5          fraction of the measurements of an unseen trajectory that its forecast starts from
+samples=0           sampled paths of each forecast, for states whose errors do not propagate linearly
 jobs=1              number of parallel training runs
 output=FOLDER       default runs/calibration: a run folder and a score for each draw, and calibration.png
 

@@ -41,6 +41,7 @@ class CalibrationRequest:
     draws: Count = 20
     spread: Annotated[float, Within(0, 1)] = 0.1
     fitted: Annotated[float, Within(0, 1)] = 0.5
+    samples: Annotated[int, Within(0)] = 0
     jobs: Count = 1
     output: str = "runs/calibration"
     only: list[Count] | None = None  # only these draws, counted from 1: set for worker processes
@@ -81,7 +82,7 @@ def calibrate(arguments: list[str]) -> None:
     def words(share: Sequence[CalibrationDraw]) -> list[str]:
         numbers = ",".join(str(draw.number) for draw in share)
         own = [f"only=[{numbers}]", f"spread={asked.spread}", f"fitted={asked.fitted}"]
-        here = [*own, f"output='{asked.output}'"]
+        here = [*own, f"samples={asked.samples}", f"output='{asked.output}'"]
         return ["ahnn.calibrate", *overrides, *here]
 
     log.info(
@@ -150,7 +151,7 @@ def one(draw: CalibrationDraw, overrides: list[str], asked: CalibrationRequest) 
 
         def evaluation(prepared: Prepared, seconds: float) -> float:
             del seconds
-            found.update(bands_of(prepared, asked.fitted))
+            found.update(bands_of(prepared, asked.fitted, asked.samples))
             return 0.0
 
         train_once(cfg, None, texts, evaluation)

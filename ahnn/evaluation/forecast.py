@@ -16,6 +16,7 @@ from ahnn.evaluation.bands import NORMAL, SIGMAS, percent
 from ahnn.evaluation.forecast_variances import Variances, middle
 from ahnn.evaluation.goodness_of_fit import OUTLYING, fit_to, trial_of, without_outliers
 from ahnn.evaluation.independent_directions import TOO_FEW
+from ahnn.evaluation.sampled_forecast import sampled_errors
 from ahnn.measurements import Segment
 from ahnn.measurements.student_noise import normal_scores
 from ahnn.numbers import in_percent
@@ -32,8 +33,8 @@ PARTS = (0.2, 0.4, 1.0)
 """Fractions of the forecast after which it is also tested separately."""
 
 
-class LinearCoverage(NamedTuple):
-    """Coverage of true states by forecast bands where errors propagate linearly.
+class PartialCoverage(NamedTuple):
+    """Coverage of some true states by forecast bands.
 
     Attributes:
         states: fractions of the states within 1, 2 and 3 standard deviations; None if there are none.
@@ -62,6 +63,7 @@ class Forecast(NamedTuple):
         parts: coverage of the true states of all trajectories after each of these parts.
         nonlinear: fraction of the forecast states whose index of nonlinearity exceeds `LINEAR`.
         linear: coverages of the true states within the linear range; None if these are unknown.
+        sampled: coverages of all true states, with sampled paths beyond that range; None if not requested.
     """
 
     coverage: tuple[float, ...]
@@ -75,7 +77,8 @@ class Forecast(NamedTuple):
     single: tuple[tuple[float, ...], ...] | None = None
     parts: tuple[tuple[float, ...], ...] | None = None
     nonlinear: float = 0.0
-    linear: LinearCoverage | None = None
+    linear: PartialCoverage | None = None
+    sampled: PartialCoverage | None = None
 
     def sentence(self) -> str:
         """Return the finding as a note under the table."""
@@ -105,7 +108,8 @@ class Forecast(NamedTuple):
         """Return plain values for metrics.json."""
         told = "" if self.states is None else judged(self.states, self.right)
         found = {"sigmas": list(SIGMAS), "of_normal_errors": list(NORMAL), **self._asdict(), "verdict": told}
-        return found if self.linear is None else {**found, "linear": self.linear._asdict()}
+        parts = {"linear": self.linear, "sampled": self.sampled}
+        return found | {name: part._asdict() for name, part in parts.items() if part is not None}
 
 
 @torch.no_grad()
@@ -116,6 +120,7 @@ def forecast(
     robust: RobustName = "none",
     truth: Trajectories | None = None,
     fitted: float = HALF,
+    samples: int = 0,
 ) -> Forecast | None:
     """Evaluate forecast bands on second halves of measurements; None if no first half can be fitted.
 
@@ -127,6 +132,7 @@ def forecast(
             from the robust fit, in the second half values far from the forecast.
         truth: true states of the trajectories, at these and possibly other times.
         fitted: fraction of the measurements of a trajectory to which its start is fitted.
+        samples: number of sampled paths that judge states beyond the linear range; 0: none.
     """
     early = first_part(segment, fitted)
     first = part_fitted(dynamics, segment, early, robust)
@@ -144,11 +150,16 @@ def forecast(
     there = there if true is None else there & true.isfinite()
     causes = forecast_columns(dynamics, states, steps, here, early, spread, part.whitening)
     of_state = here.of_state / told.weight(torch.ones_like(part.values)).sqrt().unsqueeze(-1)
-    variances = Variances.of(causes, of_state, there, spread.shape[1])
+    begin = max(int(early.sum(1).min()) - 1, 0)
+    variances = Variances.of(causes, of_state, there, spread.shape[1], begin)
     standard = variances.states.sqrt()
     off_true = None if true is None else (states[:, steps.ends] - true) / standard
     known = None if off_true is None else after_parts(off_true, early)
     index = interval_nonlinearity(dynamics, states, steps, variances)
+    beyond, off_all = index > LINEAR, None
+    if true is not None and off_true is not None and samples:
+        given = dynamics, states, steps, variances, spread, true, begin, samples
+        off_all = torch.where(beyond.unsqueeze(-1), sampled_errors(*given), off_true)
     ahead, total = later & ~part.values.isnan(), 1 + variances.values
     rows, width = part.residuals(states[:, steps.ends]), total[ahead]
     off = rows / total.sqrt() if freedom is None else normal_scores(rows, freedom, variances.values)
@@ -165,8 +176,9 @@ def forecast(
         outliers=1 - float(counted.double().mean()),
         single=None if known is None else tuple(tuple(row) for row in known[0].tolist()),
         parts=None if known is None else tuple(shares(row[row.isfinite()]) for row in known.unbind(1)),
-        nonlinear=float((index > LINEAR)[ahead.any(-1)].double().mean()),
-        linear=None if off_true is None else within_linear_range(off_true, index, there, early),
+        nonlinear=float(beyond[ahead.any(-1)].double().mean()),
+        linear=None if off_true is None else partial(off_true, there & ~beyond.unsqueeze(-1), early),
+        sampled=None if off_all is None else partial(off_all, there, early),
     )
 
 
@@ -181,20 +193,18 @@ def interval_nonlinearity(dynamics: Dynamics, states: Tensor, steps: Steps, vari
     return nonlinearity(flow, states[:, steps.ends], variances.moves, variances.states.sqrt())
 
 
-def within_linear_range(off: Tensor, index: Tensor, there: Tensor, early: Tensor) -> LinearCoverage:
-    """Return the coverage within the linear range.
+def partial(off: Tensor, counted: Tensor, early: Tensor) -> PartialCoverage:
+    """Return the coverage of some states.
 
     Args:
         off: errors of the true states in standard deviations, (B, K + 1, D).
-        index: indices of nonlinearity, (B, K + 1).
-        there: mask of forecast states, (B, K + 1, D).
+        counted: mask of these states, (B, K + 1, D).
         early: mask of fitted times, (B, K + 1).
     """
-    counted = there & (index <= LINEAR).unsqueeze(-1)
     rows = after_parts(off.masked_fill(~counted, torch.nan), early).unbind(1)
     found = [row[row.isfinite()] for row in (off[counted], *rows)]
     every, *parts = [shares(row) if len(row) else None for row in found]
-    return LinearCoverage(every, tuple(parts))
+    return PartialCoverage(every, tuple(parts))
 
 
 def right_bands(shares: tuple[float, ...], right: tuple[tuple[float, float], ...]) -> str:

@@ -25,6 +25,8 @@ class Variances(NamedTuple):
             0 where missing.
         moves: displacements of the states by one standard deviation of the cause with the largest effect on
             the last state, (B, K + 1, D).
+        noise: columns (B, D, D) of the noise of the fitted measurements at the time `begin`.
+        moved: columns (B, D, R) of the parameters at that time.
         within: number of predicted states within 1, 2 and 3 standard deviations in each draw of noise and
             parameters, (3, DRAWS).
     """
@@ -33,11 +35,18 @@ class Variances(NamedTuple):
     parameters: Tensor
     values: Tensor
     moves: Tensor
+    noise: Tensor
+    moved: Tensor
     within: Tensor
 
     @classmethod
     def of(
-        cls, causes: Iterable[tuple[Tensor, Tensor]], of_state: Tensor, there: Tensor, columns: int
+        cls,
+        causes: Iterable[tuple[Tensor, Tensor]],
+        of_state: Tensor,
+        there: Tensor,
+        columns: int,
+        begin: int = 0,
     ) -> Variances:
         """Compute variances from the columns of `forecast_columns`.
 
@@ -46,24 +55,25 @@ class Variances(NamedTuple):
             of_state: derivatives of measurements, (B, K + 1, M, D).
             there: mask of states counted in `within`, (B, K + 1, D).
             columns: number of parameter columns.
+            begin: index of the time whose columns are kept.
         """
-        parts, within, first = [], torch.zeros(len(SIGMAS), DRAWS, dtype=torch.int64), 0
+        parts, within, count = [], torch.zeros(len(SIGMAS), DRAWS, dtype=torch.int64), 0
         draws = imagined(columns + there[:, 0].numel())
         together, apart = draws[:columns], draws[columns:].view(len(there), 1, -1, DRAWS)
         for noise, moved in causes:
-            rows, first = slice(first, first + len(noise)), first + len(noise)
+            rows, count = slice(count, count + len(noise)), count + len(noise)
             covariance = noise @ noise.mT + moved @ moved.mT
             of_states = covariance.diagonal(dim1=-2, dim2=-1)
             values = ((of_state[rows] @ covariance) * of_state[rows]).sum(-1)
             both = torch.cat((noise, moved), dim=-1)
             moves = torch.einsum("bkdr,br->bkd", both, largest_displacement(both[:, -1]))
-            parts.append((of_states, moved.square().sum(-1), values, moves))
+            parts.append((of_states, moved.square().sum(-1), values, moves, noise[:, begin], moved[:, begin]))
             for k, own in enumerate(there[rows], start=rows.start):
                 j = k - rows.start
                 off = moved[j].float() @ together + noise[j].float() @ apart[k]
                 within += held(off[own], of_states[j][own].sqrt().float().unsqueeze(-1))
-        states, parameters, values, moves = (torch.cat(part) for part in zip(*parts, strict=True))
-        return cls(states, parameters, values, moves, within)
+        states, parameters, values, moves, *first = (torch.cat(part) for part in zip(*parts, strict=True))
+        return cls(states, parameters, values, moves, first[0], first[1], within)
 
 
 def imagined(columns: int) -> Tensor:

@@ -74,7 +74,7 @@ def band_lines(scores: Sequence[Score]) -> list[str]:
     draws = f"{len(scores)} draws"
     lines = [f"within 1, 2 and 3 sigma, all trajectories, mean over {draws}:"]
     lines += [f"  {name:<26}{share_line(rows)}" for name, rows in coverages(scores).items()]
-    lines += linear_lines(scores)
+    lines += partial_lines(scores)
     tests = [one["uncertainty"]["test"] for one in scores]
     every_draw = together([DirectionTest(test["directions"], test["scatter"]) for test in tests])
     return [*lines, f"bands of states, {draws}: {every_draw.sentence()}"]
@@ -91,15 +91,30 @@ def coverages(scores: Sequence[Score]) -> dict[str, list[Sequence[float]]]:
     return found
 
 
-def linear_lines(scores: Sequence[Score]) -> list[str]:
-    """Return lines on the coverage within the linear range; none if all forecasts are within it."""
+def partial_lines(scores: Sequence[Score]) -> list[str]:
+    """Return lines on the coverage within the linear range, and with sampled paths beyond it.
+
+    There are none if all forecasts are within the linear range.
+    """
     if not any(one["forecast"].get("nonlinear") for one in scores):
         return []
     share = 1 - sum(one["forecast"].get("nonlinear", 0.0) for one in scores) / len(scores)
-    linear = [one["forecast"]["linear"] for one in scores if one["forecast"].get("linear")]
-    rows = {"forecasts": [one["states"] for one in linear]}
-    rows |= {f"forecasts at {when}": [one["parts"][k] for one in linear] for k, when in enumerate(PARTS)}
-    lines = [f"where errors propagate linearly ({in_percent(share)} of the forecast states):"]
+    titles = {
+        "linear": f"where errors propagate linearly ({in_percent(share)} of the forecast states):",
+        "sampled": "with sampled paths where they do not:",
+    }
+    lines = []
+    for key, title in titles.items():
+        if found := [one["forecast"][key] for one in scores if one["forecast"].get(key)]:
+            lines += [title, *part_lines(found)]
+    return lines
+
+
+def part_lines(scores: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return lines on partial coverages of forecasts, one for all times and one for each part."""
+    rows = {"forecasts": [one["states"] for one in scores]}
+    rows |= {f"forecasts at {when}": [one["parts"][k] for one in scores] for k, when in enumerate(PARTS)}
+    lines = []
     for name, shares in rows.items():
         found = [share for share in shares if share is not None]
         line = f"{share_line(found)}, {len(found)} draws" if found else "none"

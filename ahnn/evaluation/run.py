@@ -87,12 +87,13 @@ def add_tests(case: Case, findings: Findings, *, figures: bool) -> Worth:
     return value
 
 
-def band_tests(case: Case, fitted: float) -> dict[str, Any]:
+def band_tests(case: Case, fitted: float, samples: int) -> dict[str, Any]:
     """Return the entries `uncertainty` and `forecast` of an evaluation, without the other tests.
 
     Args:
         case: case to evaluate.
         fitted: fraction of the measurements of an unseen trajectory to which its start is fitted.
+        samples: number of sampled paths of each forecast; 0: none.
     """
     known, states = case.uncertainty, case.test.states
     if known is None or case.measured is None:
@@ -103,7 +104,7 @@ def band_tests(case: Case, fitted: float) -> dict[str, Any]:
             case.flow, states[:, 0], case.dt, states.shape[1], longest=case.longest, clock=clock
         )
         band = banded(case, known, prediction)
-        ahead = forecast_of(case, known, case.measured, fitted)
+        ahead = forecast_of(case, known, case.measured, fitted, samples)
     found = {"uncertainty": {"inflation": known.inflation, **known.about, **band.numbers()}}
     return found if ahead is None else {**found, "forecast": ahead.numbers()}
 
@@ -210,10 +211,12 @@ def add_forecast(case: Case, uncertainty: Uncertainty, measured: Segment, findin
         findings.highlights.append(found.verdict())
 
 
-def forecast_of(case: Case, uncertainty: Uncertainty, measured: Segment, fitted: float) -> Forecast | None:
+def forecast_of(
+    case: Case, uncertainty: Uncertainty, measured: Segment, fitted: float, samples: int = 0
+) -> Forecast | None:
     """Return the coverage of forecasts from the first part of unseen measurements, if any can be fitted."""
     truth = case.test if case.fitted is None and len(case.test.states) == len(measured.values) else None
-    return forecast(cast(Any, case.flow), measured, uncertainty.spread, case.robust, truth, fitted)
+    return forecast(cast(Any, case.flow), measured, uncertainty.spread, case.robust, truth, fitted, samples)
 
 
 def add_force_bound(case: Case, findings: Findings) -> None:

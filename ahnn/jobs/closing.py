@@ -121,15 +121,16 @@ def case_of(prepared: Prepared, run: Run) -> Case:
     return make_case(run.dynamics, prepared.data.splits, **learned, **named)
 
 
-def bands_of(prepared: Prepared, fitted: float) -> dict[str, Any]:
+def bands_of(prepared: Prepared, fitted: float, samples: int) -> dict[str, Any]:
     """Take the final steps, and return the tests of bands and forecasts by name, without other scores.
 
     Args:
         prepared: training run after its steps.
         fitted: fraction of the measurements of an unseen trajectory to which its start is fitted.
+        samples: number of sampled paths of each forecast; 0: none.
     """
     conclude_on_measurements(prepared)
-    return band_tests(case_of(prepared, load(prepared.folder)), fitted)
+    return band_tests(case_of(prepared, load(prepared.folder)), fitted, samples)
 
 
 def require_converged(folders: Iterable[Path]) -> None:

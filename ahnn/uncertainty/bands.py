@@ -1,17 +1,16 @@
-"""Effect of parameter uncertainty on rollouts, to first order and by sampling."""
+"""Effect of parameter uncertainty on rollouts, to first order."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, cast
+from typing import cast
 
 import torch
 from torch import Tensor
-from torch.func import vjp, vmap
 from torch.nn.utils import parameters_to_vector
 
 from ahnn.dynamics import Dynamics, HasField
-from ahnn.dynamics.derivatives import field_jacobian, parametrised
+from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.dynamics.variations import own_jacobians
 from ahnn.shooting.path_sensitivities import Steps, in_quarters, path, sensitivities
 from ahnn.shooting.quadrature import coarse
@@ -79,38 +78,3 @@ def path_sensitivities(
         part = slice(k, k + rows)
         driven = forcing(theta, states[part]) @ factor.to(jacobians)
         yield sensitivities(jacobians[part], driven, steps.rows(part))
-
-
-@torch.no_grad()
-def sampled_rollouts(
-    dynamics: Dynamics, start: Tensor, lengths: Tensor, factor: Tensor, count: int, seed: int = 0
-) -> Tensor:
-    """Return rollouts (count, B, N + 1, D) of dynamics whose parameters are drawn from N(theta, L L^T).
-
-    Increments are linearised in the draw; rollouts are not. Over the wide range of undetermined parameters a
-    network is nonlinear, and direct draws are meaningless (Immer, Korzepa & Bauer 2021, AISTATS).
-
-    Args:
-        dynamics: float64 dynamics with parameters theta.
-        start: (B, D) initial states.
-        lengths: step lengths, (B, N).
-        factor: L, shape (P, R).
-        count: number of draws.
-        seed: random seed.
-    """
-    theta = parameters_to_vector(dynamics.parameters()).detach()
-    generator = torch.Generator().manual_seed(seed)
-    draws = torch.randn(count, factor.shape[1], generator=generator, dtype=theta.dtype) @ factor.mT
-    increment = parametrised(dynamics, dynamics.increment, theta.dtype)
-
-    def moved(draw: Tensor, x: Tensor, dt: Tensor) -> Tensor:
-        # J times the draw is the gradient of u -> (u^T J) draw: two reverse modes support any operation.
-        pair: Any = vjp(lambda parameters: increment(parameters, x, dt), theta)
-        _, change = cast(Any, vjp(lambda u: pair[1](u)[0], torch.zeros_like(x)))
-        return x + pair[0] + change(draw)[0]
-
-    step = vmap(moved, (0, 0, None))
-    states = [start.expand(count, *start.shape)]
-    for dt in lengths.unbind(1):
-        states.append(step(draws, states[-1], dt))
-    return torch.stack(states, dim=2)
