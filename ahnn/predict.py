@@ -12,6 +12,7 @@ duration=1d         duration with a unit, or a number in the model's unit of tim
 step=90min          interval of predicted states; default: the training interval
 output=FILE         .csv, .parquet, .oem or .xml; default: only a summary
 covariances=true    write covariances into tables, too; messages always contain them
+samples=200         number of sampled paths, whose mean and covariance are written; default: first-order bands
 output_frame=GCRF   frame of the output, GCRF or EME2000; default: the frame of the model
 figure=FILE         .png or .svg
 workers=2           number of processes that share many starts, or ray:2, tasks of Ray

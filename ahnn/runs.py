@@ -20,14 +20,7 @@ from ahnn.deviations import covariance_factor, state_deviations
 from ahnn.dynamics import Dynamics, HasEnergy
 from ahnn.errors import UserError
 from ahnn.numbers import Numbers, as_float64
-from ahnn.prediction.arguments import (
-    clock_along,
-    clock_of_samples,
-    lengths_of,
-    paths_of,
-    starts_of,
-    states_of,
-)
+from ahnn.prediction.arguments import clock_along, lengths_of, paths_of, sample_clock, starts_of, states_of
 from ahnn.prediction.followed_path import Knowledge
 from ahnn.prediction.propagation import Prediction, predicted, require_times
 from ahnn.rollouts import rollout
@@ -197,6 +190,7 @@ class Run:
         controls: Numbers | None = None,
         *,
         linear: bool = False,
+        samples: int = 0,
     ) -> Prediction:
         """Return predicted states at given times, with covariance and novelty if available.
 
@@ -213,9 +207,11 @@ class Run:
             controls: values at the times, (T, m) or (B, T, m), each held until the next, for forces that
                 depend on them.
             linear: whether controls are interpolated linearly instead.
+            samples: number of paths with random starts and parameters, whose means and covariances replace
+                those of first order; 0: none.
 
         Raises:
-            UserError: invalid starts, times or controls, or a damaged covariance file.
+            UserError: invalid starts, times, controls or samples, or a damaged covariance file.
         """
         x = starts_of(start, self.dynamics, self.space)
         if start_sd is not None:
@@ -223,8 +219,8 @@ class Run:
         known = self.knowledge(start_covariance)
         times = as_float64(times, "times", x.device).detach()
         require_times(times)
-        clock = clock_of_samples(self.dynamics, times, controls, len(x), linear=linear)
-        found = predicted(self._exact, x.double(), times, self.dt, known, description, clock)
+        clock = sample_clock(self.dynamics, times, controls, len(x), linear=linear)
+        found = predicted(self._exact, x.double(), times, self.dt, known, description, clock, samples)
         if self._asked(x):
             each = times.diff().to(x).expand(len(x), -1)
             path = rollout(self.dynamics, x, each, len(times), longest=self.dt, gradients=True, clock=clock)

@@ -83,6 +83,19 @@ def test_coverage_where_errors_propagate_linearly_is_told_apart_if_some_do_not()
     assert f"forecasts at the end      60.0, 90.0, 100.0 {error.format('0.0', 2)}" in text
 
 
+def test_coverage_with_sampled_paths_is_told_where_some_errors_do_not_propagate_linearly():
+    made = scores(2)
+    for one in made:
+        linear = {"states": [0.7, 0.95, 1.0], "parts": [[0.6, 0.9, 1.0]] * 3}
+        sampled = {"states": [0.5, 0.8, 0.9], "parts": [[0.4, 0.7, 0.8]] * 3}
+        one["forecast"] |= {"nonlinear": 0.25, "linear": linear, "sampled": sampled}
+    _, _, text = rank_table(made).partition("with sampled paths where they do not:")
+    assert "forecasts                 50.0, 80.0, 90.0 %, standard error 0.0 % within 2 sigma" in text
+    assert "forecasts at the end      40.0, 70.0, 80.0 %, standard error 0.0 % within 2 sigma" in text
+    del made[0]["forecast"]["sampled"], made[1]["forecast"]["sampled"]
+    assert "sampled" not in rank_table(made)
+
+
 def test_draws_whose_training_ended_early_are_also_left_out():
     made = scores(20)
     assert "without them" not in rank_table(made)

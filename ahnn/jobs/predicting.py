@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from ahnn.arguments import Finite, Positive
+from ahnn.arguments import Count, Finite, Positive
 from ahnn.data.starts import Starts
 from ahnn.errors import UserError
 from ahnn.evaluation.terminal import show
@@ -43,6 +43,7 @@ class PredictionRequest:
     step: str | float | None = None
     output: str | None = None
     covariances: bool = False
+    samples: Count | None = None
     output_frame: Literal["GCRF", "EME2000"] | None = None
     figure: str | None = None
     workers: int | str | None = None
@@ -79,7 +80,7 @@ def predict(asked: PredictionRequest) -> None:
         output.require_figure(Path(asked.figure))
     if asked.output is not None and isinstance(asked.start, str):
         output.require_other(Path(asked.output), Path(asked.start))
-    blocks = blocks_of(asked.run, asked.pretrained, asked.ckpt, begin, moments)
+    blocks = blocks_of(asked.run, asked.pretrained, asked.ckpt, begin, moments, asked.samples or 0)
     require_room(len(begin.states), begin.states.shape[1], times, runs[0].dt)
     if workers is None:
         title = f"predicting {len(begin.states):,} trajectories"

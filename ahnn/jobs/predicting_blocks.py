@@ -31,6 +31,7 @@ class StartBlock(NamedTuple):
         covariances: (B, D, D) covariances of the starts, or None.
         moments: time steps and controls.
         is_only: whether there is no other block.
+        samples: number of sampled paths from each start; 0 for first-order covariances.
     """
 
     runs: tuple[str, ...]
@@ -40,10 +41,16 @@ class StartBlock(NamedTuple):
     covariances: Tensor | None
     moments: Moments
     is_only: bool
+    samples: int
 
 
 def blocks_of(
-    run: str | list[str] | None, pretrained: str | None, ckpt: str, begin: Starts, moments: Moments
+    run: str | list[str] | None,
+    pretrained: str | None,
+    ckpt: str,
+    begin: Starts,
+    moments: Moments,
+    samples: int,
 ) -> list[StartBlock]:
     """Divide the starts of a prediction with one run, several runs or a shipped model."""
     _loaded.cache_clear()  # a run folder, or the working directory, may have changed in the meantime
@@ -52,7 +59,8 @@ def blocks_of(
     known = [None] * len(states) if begin.covariances is None else begin.covariances.split(TOGETHER)
     of_runs = runs, pretrained, ckpt
     return [
-        StartBlock(*of_runs, *part, moments, len(states) == 1) for part in zip(states, known, strict=True)
+        StartBlock(*of_runs, *part, moments, len(states) == 1, samples)
+        for part in zip(states, known, strict=True)
     ]
 
 
@@ -63,7 +71,7 @@ def predict_block(block: StartBlock) -> Prediction:
     for run in _loaded(block.runs, block.pretrained, block.ckpt):
         told = f"predicting with {run.folder.name}" if block.is_only else None
         asked = {"controls": controls and controls.values, "linear": controls is not None and controls.linear}
-        known = block.covariances
+        known, asked["samples"] = block.covariances, block.samples
         found.append(run.predict(block.states, block.moments.times, told, start_covariance=known, **asked))
     return together(found)
 

@@ -85,7 +85,7 @@ def clock_along(
     return Clock.of(times, None if given is None else given.expand(*times.shape, size))
 
 
-def clock_of_samples(
+def sample_clock(
     dynamics: Dynamics, times: Tensor, controls: Numbers | None, starts: int, *, linear: bool
 ) -> Clock | None:
     """Return the clock at times (T,) with controls (T, m) or (B, T, m); None for autonomous dynamics.

@@ -20,6 +20,7 @@ from ahnn.dynamics import Dynamics, HasField
 from ahnn.errors import UserError
 from ahnn.memory import require_memory
 from ahnn.prediction.followed_path import FollowedPath, Knowledge, PathRows
+from ahnn.prediction.sampled_prediction import path_samples
 from ahnn.progress import track
 from ahnn.shooting.path_sensitivities import Steps, path, steps_between
 from ahnn.shooting.quadrature import coarse
@@ -49,7 +50,10 @@ class Prediction(NamedTuple):
         covariances: (B, T, D, D) covariances, or None if unknown.
         novelty: (B, T) distance from the training data, scaled to 1 at its edge; None if unknown.
         nonlinearity: (B, T) index of nonlinearity of the errors (`ahnn.uncertainty.nonlinearity`), up to
-            `ahnn.uncertainty.LINEAR` where covariances are valid; 0 where they are small, None if unknown.
+            `ahnn.uncertainty.LINEAR` where first-order covariances are valid; 0 where they are small, None if
+            unknown.
+        samples: (B, T, S, D) sampled paths, whose means and covariances are the states and covariances; None
+            for first-order covariances.
     """
 
     times: Tensor
@@ -57,6 +61,7 @@ class Prediction(NamedTuple):
     covariances: Tensor | None = None
     novelty: Tensor | None = None
     nonlinearity: Tensor | None = None
+    samples: Tensor | None = None
 
     def __repr__(self) -> str:
         return in_short(self)
@@ -80,6 +85,7 @@ def predicted(
     known: Knowledge = Knowledge(),  # noqa: B008 - a tuple
     description: str | None = None,
     clock: Clock | None = None,
+    samples: int = 0,
 ) -> Prediction:
     """Predict states at given times.
 
@@ -91,16 +97,23 @@ def predicted(
         known: uncertainty information.
         description: text of the progress bar; None: no bar.
         clock: time and controls at the times, (T, k) or (B, T, k); None for autonomous dynamics.
+        samples: number of sampled paths, whose moments replace those of first order; 0: none.
 
     Raises:
-        UserError: starts that are not finite, times that do not increase, or insufficient memory.
+        UserError: starts that are not finite, times that do not increase, samples of what is exact, or
+            insufficient memory.
     """
     require_times(times)
     require_finite(start)
     require_room(len(start), start.shape[1], times, longest)
     require_memory("start", "sensitivities of states", 4.0 * INTERVALS * start.numel() * known.columns)
     rows, index = _followed(FollowedPath(dynamics, known), start, times, longest, description, clock)
-    return Prediction(times, *rows, index)
+    found = Prediction(times, *rows, index)
+    if not samples:
+        return found
+    paths = path_samples(dynamics, start, times, longest, known, samples, description, clock)
+    mean, covariances = mixture_moments(paths.movedim(2, 0))
+    return found._replace(states=mean, covariances=covariances, samples=paths)
 
 
 @torch.no_grad()
@@ -210,9 +223,11 @@ def together(predictions: Sequence[Prediction]) -> Prediction:
     mean, covariances = mixture_moments(torch.stack([one.states for one in predictions]), known)
     far = [one.novelty for one in predictions if one.novelty is not None]
     novelty = torch.stack(far).amax(0) if len(far) == len(predictions) else None
+    drawn = [one.samples for one in predictions if one.samples is not None]
+    paths = torch.cat(drawn, dim=2) if len(drawn) == len(predictions) else None
     bent = [one.nonlinearity for one in predictions if one.nonlinearity is not None]
     index = torch.stack(bent).amax(0) if len(bent) == len(predictions) else None
-    return Prediction(first.times, mean, covariances, novelty, index)
+    return Prediction(first.times, mean, covariances, novelty, index, paths)
 
 
 def require_times(times: Tensor) -> None:

@@ -76,7 +76,7 @@ def nonlinear_warning(prediction: Prediction, starts: Starts, space: Space) -> s
         space: description of the state components.
     """
     index = prediction.nonlinearity
-    if index is None or not bool((index > LINEAR).any()):
+    if index is None or prediction.samples is not None or not bool((index > LINEAR).any()):
         return None
     row, sample = (int(k) for k in (index > LINEAR).nonzero()[0])
     first = float(starts.times[row] + prediction.times[sample])
@@ -84,5 +84,5 @@ def nonlinear_warning(prediction: Prediction, starts: Starts, space: Space) -> s
     return (
         f"bands{whose}: from about t = {first:g} {space.units.time} on, errors are too large to propagate "
         f"linearly (index {float(index.max()):.2g}, linear up to {LINEAR:g}); the true state may lie outside "
-        "the bands more often than they indicate"
+        "the bands more often than they indicate. samples=200 propagates sampled paths instead"
     )

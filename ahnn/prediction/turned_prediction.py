@@ -41,5 +41,8 @@ def turned_prediction(
     covariances = prediction.covariances
     if covariances is not None:
         covariances = turn @ covariances @ turn.mT
-    found = prediction._replace(states=states, covariances=covariances)
+    samples = prediction.samples
+    if samples is not None:
+        samples = torch.einsum("btij,btsj->btsi", turn, samples)
+    found = prediction._replace(states=states, covariances=covariances, samples=samples)
     return found, starts._replace(reference=own._replace(frame=frame))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from cases import SPRING, Learned, trajectories
 from test_forecast import DOUBLE, LONG, known, measured
@@ -29,6 +30,23 @@ class Stiffening(Learned):
     def __init__(self, stiffness):
         super().__init__(stiffness)
         self.field = Hardening(stiffness)
+
+
+def test_sampled_paths_judge_a_linear_spring_as_first_order_bands_do(monkeypatch):
+    """Noise of the fitted measurements and parameters are uncertain, also where no state counts as linear."""
+    truth = trajectories(LONG, 100, 3)
+    given = Learned(LONG.stiffness), measured(truth), known(0.3)
+    plain = forecast(*given, truth=truth)
+    monkeypatch.setattr("ahnn.evaluation.forecast.LINEAR", -1.0)
+    found = forecast(*given, truth=truth, samples=1000)
+    assert plain is not None
+    assert found is not None
+    assert found.sampled is not None
+    assert plain.sampled is None
+    assert (found.nonlinear, found.states) == (1.0, plain.states)
+    assert found.sampled.states == pytest.approx(plain.states, abs=0.01)
+    for one, other in zip(found.sampled.parts, plain.parts, strict=True):
+        assert one == pytest.approx(other, abs=0.03)
 
 
 def test_the_linear_range_of_a_spring_is_all_of_it_and_of_a_stiffening_one_where_bands_are_narrow():

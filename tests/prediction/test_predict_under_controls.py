@@ -53,6 +53,17 @@ def pushed():
     return made({"controls": {"kind": "actuation", "matrix": [[1.0]]}}, ("u",))
 
 
+def test_sampled_paths_are_under_the_same_controls(pushed):
+    """The force does not depend on the state, so that the mean is the path of the mean."""
+    plain = pushed.predict([[0.0, 0.0], [1.0, 0.0]], TIMES, controls=PUSHES)
+    found = pushed.predict(
+        [[0.0, 0.0], [1.0, 0.0]], TIMES, controls=PUSHES, start_sd=[0.1, 0.2], samples=1000
+    )
+    close(found.states, plain.states, 1e-12)
+    later = (0.1**2 + (0.2 / MASS * 2.5) ** 2) ** 0.5  # after 2.5 s
+    assert float(found.deviations[1, -1, 0]) == pytest.approx(later, rel=0.06)
+
+
 @pytest.mark.parametrize("linear", [False, True])
 def test_a_free_mass_gains_the_integral_of_its_control(pushed, linear):
     found = pushed.predict([0.0, 0.0], TIMES, controls=PUSHES, linear=linear)

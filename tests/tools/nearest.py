@@ -25,7 +25,7 @@ HEAVY = ("torch", "lightning", "hydra", "scipy.stats", "hypothesis", "optuna", "
 """What is imported once; no mutant changes it."""
 
 QUIET = ("-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning")
-LIMIT_TESTS, LIMIT_SECONDS, SLOW = 120, 30.0, 1.0
+LIMIT_TESTS, LIMIT_SECONDS, SLOW = 400, 30.0, 1.0
 """Most tests of one mutant, about how long they take, and what comes last, in seconds."""
 TOGETHER = 25
 """Test files measured at once; what was measured is kept if a later part fails."""
@@ -104,7 +104,8 @@ class Reach:
     def tests(self, file: str, first: int, last: int, near: str) -> list[str]:
         """Return some tests that execute a line of a file; where only its import does, any line of it.
 
-        Of a file of constants, those below the folder `near`, whose tests come first of others, too.
+        Of a file of constants, those below the folder `near`. Tests in files named like the file come first,
+        then those in that folder.
         """
         reaching = [t for t, files in self.lines.items() if file in files]
         exact = [t for t in reaching if any(first <= n <= last for n in self.lines[t][file])]
@@ -117,9 +118,10 @@ class Reach:
             function = name.split("[")[0]
             seen[function] = seen.get(function, -1) + 1
             few = min(seen[function], 3)  # three cases of each first, and those of the room
-            order.append((seconds > SLOW, few, not name.startswith(near), seconds, name))
+            own = Path(file).stem.strip("_") in Path(name.split("::")[0]).stem
+            order.append((seconds > SLOW, not own, few, not name.startswith(near), seconds, name))
         names, left = [], LIMIT_SECONDS
-        for _, _, _, seconds, name in sorted(order)[:LIMIT_TESTS]:
+        for *_, seconds, name in sorted(order)[:LIMIT_TESTS]:
             if seconds <= left or not names:
                 names.append(name)
                 left -= seconds
