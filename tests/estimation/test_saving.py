@@ -51,6 +51,13 @@ def test_any_flipped_bit_is_refused(saved, tmp_path):
         refused(path)
 
 
+@pytest.mark.parametrize(("name", "value"), [("failed_step", -2), ("steps", -1), ("status", 9)])
+def test_counters_out_of_range_are_refused(tmp_path, name, value):
+    wrong = torch.full_like(getattr(STATE, name), value)
+    with pytest.raises(ValueError, match=f"{name}: expected finite"):
+        save_state(STATE._replace(**{name: wrong}), tmp_path / "state")
+
+
 def test_any_other_length_is_refused(saved, tmp_path):
     path = tmp_path / "state"
     for length in [*range(12), *range(12, len(saved), 37), len(saved) - 1]:

@@ -16,6 +16,7 @@ from ahnn.jacobians import step_jacobians
 from ahnn.measurements import Instrument, Position, Segment
 from ahnn.shooting.path_sensitivities import path, sensitivities, steps_between, transitions
 from ahnn.shooting.robust import ROBUST
+from ahnn.training.limited_segments import freedom
 from ahnn.training.maximum_posterior import WideProblem, of_functions
 
 NETWORK = {"width": 6, "depth": 2, "activation": "tanh"}
@@ -40,6 +41,14 @@ def satellite(method="rk4", longest=60.0, rows=289):
     noise = SD * torch.randn(places.shape, generator=generator(0), dtype=torch.float64)
     deviations = torch.full((3,), SD, dtype=torch.float64)
     return dynamics, Segment(places + noise, times, Instrument(Position(3), deviations, longest, 3, 1.0))
+
+
+def test_a_start_of_six_components_takes_six_degrees_of_freedom():
+    instrument = Instrument(Position(3), torch.ones(3, dtype=torch.float64), 1.0, 3, 1.0)
+    values = torch.zeros(2, 5, 3, dtype=torch.float64)
+    values[1, 2:] = torch.nan
+    segment = Segment(values, torch.arange(5.0).expand(2, 5), instrument)
+    assert freedom(segment).tolist() == [9, 0]
 
 
 @pytest.mark.slow

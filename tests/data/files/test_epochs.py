@@ -52,6 +52,14 @@ def test_a_time_of_day_ends_before_the_next_day(clock):
         instant("2016-12-31T23:59:61", utc=True)
 
 
+def test_offsets_are_less_than_sixteen_hours():
+    noon = instant("2024-03-02T03:59:00", utc=True)
+    assert instant("2024-03-01T12:00:00-15:59", utc=True) == noon
+    for offset in ("+16:00", "-16:00", "+15:60"):
+        with pytest.raises(ValueError, match="a UTC offset"):
+            instant(f"2024-03-01T12:00:00{offset}", utc=True)
+
+
 @pytest.mark.parametrize("day", ["2023-366", "2023-000", "2023-02-29", "2023-13-01"])
 def test_a_day_is_one_of_its_year(day):
     with pytest.raises(ValueError, match="a calendar date"):

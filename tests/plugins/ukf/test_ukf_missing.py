@@ -9,7 +9,7 @@ import torch
 
 from ahnn.estimation import Belief, initial_belief
 from ahnn.measurements import Position
-from ahnn_plugins.ukf import SQUARE_ROOT, STANDARD, unscented_filter
+from ahnn_plugins.ukf import SQUARE_ROOT, STANDARD, members, unscented_filter
 
 FORMS = [SQUARE_ROOT, STANDARD]
 F64 = torch.float64
@@ -31,7 +31,7 @@ class Reduced:
 
 
 @pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
-def test_a_missing_component_equals_the_reduced_measurement(make_linear, close, form):
+def test_a_missing_component_equals_the_reduced_measurement(make_linear, close, form, monkeypatch):
     problem, model = make_linear(5, 3, steps=60, batch=2, seed=3)
     rows = problem.measurements.clone()
     rows[:, :, 1] = torch.nan
@@ -55,6 +55,11 @@ def test_a_missing_component_equals_the_reduced_measurement(make_linear, close, 
     assert torch.allclose(full.log_likelihood, reduced.log_likelihood, rtol=1e-12, atol=0.0)
     assert bool(torch.isnan(full.innovations[..., 1]).all())
     assert full.measured.unique().tolist() == [2]
+    monkeypatch.setattr(members, "library", lambda: None)
+    drawn = (belief, rows, Reduced(model, [0, 1, 2]), *arguments[3:])  # with sigma points of the measurement
+    without = unscented_filter(problem.flow, *drawn, form=form)
+    assert close(without.means, full.means, 1e-12)
+    assert close(without.covariances, full.covariances, 1e-12, trailing=2)
 
 
 @pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
