@@ -6,9 +6,9 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from ahnn.arguments import Count, Finite, Positive
+from ahnn.arguments import Finite, Positive, Within
 from ahnn.data.starts import Starts
 from ahnn.errors import UserError
 from ahnn.evaluation.terminal import show
@@ -43,7 +43,7 @@ class PredictionRequest:
     step: str | float | None = None
     output: str | None = None
     covariances: bool = False
-    samples: Count | None = None
+    samples: Annotated[int, Within(2)] | None = None
     output_frame: Literal["GCRF", "EME2000"] | None = None
     figure: str | None = None
     workers: int | str | None = None

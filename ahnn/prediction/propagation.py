@@ -20,7 +20,7 @@ from ahnn.dynamics import Dynamics, HasField
 from ahnn.errors import UserError
 from ahnn.memory import require_memory
 from ahnn.prediction.followed_path import FollowedPath, Knowledge, PathRows
-from ahnn.prediction.sampled_prediction import path_samples
+from ahnn.prediction.sampled_prediction import path_samples, require_samples
 from ahnn.progress import track
 from ahnn.shooting.path_sensitivities import Steps, path, steps_between
 from ahnn.shooting.quadrature import coarse
@@ -106,6 +106,8 @@ def predicted(
     require_times(times)
     require_finite(start)
     require_room(len(start), start.shape[1], times, longest)
+    if samples:
+        require_samples(samples, start.numel() * len(times), known)
     require_memory("start", "sensitivities of states", 4.0 * INTERVALS * start.numel() * known.columns)
     rows, index = _followed(FollowedPath(dynamics, known), start, times, longest, description, clock)
     found = Prediction(times, *rows, index)

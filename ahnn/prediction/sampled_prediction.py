@@ -33,23 +33,10 @@ def path_samples(
         times: (T,) increasing.
         longest: maximum integrator step.
         known: uncertainty information, at least on the starts or the parameters.
-        count: number of paths from each start, 2 or more.
+        count: number of paths from each start.
         description: text of the progress bar; None: no bar.
         clock: time and controls at the times; None for autonomous dynamics.
-
-    Raises:
-        UserError: fewer than two paths, exact starts and parameters, or insufficient memory.
     """
-    if isinstance(count, bool) or not isinstance(count, int) or count < 2:
-        message = f"samples: expected 2 paths or more; received {count!r}"
-        raise UserError(message)
-    if not known.columns:
-        message = (
-            "samples: expected a start or parameters with standard deviations; received exact ones. Add "
-            "start_sd, or use a model trained on measurements"
-        )
-        raise UserError(message)
-    require_memory("samples", "sampled states", 8.0 * count * start.numel() * len(times))
     steps = steps_between(times.unsqueeze(0), longest)
     lengths, ends = steps.lengths[0], {int(end): k for k, end in enumerate(steps.ends)}
     along = None if clock is None else clock.along(lengths, steps.ends)
@@ -60,3 +47,23 @@ def path_samples(
         if (k := ends.get(step)) is not None:
             found[:, k] = x.transpose(0, 1)
     return found
+
+
+def require_samples(count: int, numbers: int, known: Knowledge) -> None:
+    """Raise UserError for paths that cannot be sampled: fewer than two, without uncertainty, or too many.
+
+    Args:
+        count: number of paths from each start.
+        numbers: numbers of a path, over all starts and times.
+        known: uncertainty information.
+    """
+    if isinstance(count, bool) or not isinstance(count, int) or count < 2:
+        message = f"samples: expected 2 paths or more; received {count!r}"
+        raise UserError(message)
+    if not known.columns:
+        message = (
+            "samples: expected a start or parameters with standard deviations; received exact ones. Add "
+            "start_sd, or use a model trained on measurements"
+        )
+        raise UserError(message)
+    require_memory("samples", "sampled states", 8.0 * count * numbers)
