@@ -1,10 +1,11 @@
 """Planned sessions of five stations compared with equally spaced sessions, over draws of the start.
 
-    python benchmarks/bench_plan.py [--draws 20] [--choose 4]
+    python benchmarks/bench_plan.py [--draws 20] [--choose 4] [--run DIR]
 
 A satellite on a Molniya orbit (the pretrained mechanical model) with a random phase and ascending node, known
 to within 1 km and 1 m/s, is measured in sessions of one hour within two days; the forecast is for the fifth
-day. The number of equally spaced sessions is increased until they are as good as the plan.
+day. With a run, whose parameters are uncertain, too, the starts are states of its training data. The number
+of equally spaced sessions is increased until they are as good as the plan.
 """
 
 from __future__ import annotations
@@ -43,6 +44,8 @@ SD = [1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3]
 def start_of(run: ahnn.Run, seed: int) -> torch.Tensor:
     """Return a state at a random time of the orbit, turned about the Earth's axis by a random angle."""
     random = np.random.default_rng(seed)
+    if run.uncertainty is not None and run.domain is not None:
+        return run.domain.states[random.integers(len(run.domain.states))]
     later = run.predict(PERIGEE, [0.0, random.uniform(600.0, 43_000.0)]).states[0, 1]
     angle = random.uniform(0, math.tau)
     cosine, sine = math.cos(angle), math.sin(angle)
@@ -78,9 +81,10 @@ def main() -> None:
     )
     parser.add_argument("--draws", type=int, default=20)
     parser.add_argument("--choose", type=int, default=4)
+    parser.add_argument("--run", default="molniya_mechanical")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    run, found = ahnn.load("molniya_mechanical"), []
+    run, found = ahnn.load(options.run), []
     with tempfile.TemporaryDirectory() as folder:
         stations = Path(folder) / "stations.yaml"
         stations.write_text(json.dumps(STATIONS))

@@ -90,13 +90,19 @@ def _trace(factor: Tensor) -> Tensor:
 
 def _reduction(rows: Tensor, forecast: Tensor) -> float:
     """Return the decrease of the trace of the forecast's covariance due to measurements."""
-    innovation = torch.eye(len(rows)).to(rows) + rows @ rows.mT
-    root = torch.linalg.cholesky(innovation)
+    root = _root_of_one_more(rows)
     return float(_trace(torch.linalg.solve_triangular(root, rows @ forecast.mT, upper=False)))
 
 
 def _informed(parts: Sequence[Tensor], rows: Tensor) -> list[Tensor]:
     """Transform derivatives to unknowns that have unit variance after measurements with `rows` (K, R)."""
-    information = torch.eye(rows.shape[1]).to(rows) + rows.mT @ rows
-    root = torch.linalg.cholesky(information)
+    root = _root_of_one_more(rows.mT)
     return [torch.linalg.solve_triangular(root, part.mT, upper=False).mT for part in parts]
+
+
+def _root_of_one_more(rows: Tensor) -> Tensor:
+    """Return L, lower triangular, with L L^T = 1 + A A^T for A of shape (K, R).
+
+    A is not squared: the one would be lost beside variances of 1e16 and more.
+    """
+    return torch.linalg.qr(torch.cat((torch.eye(len(rows)).to(rows), rows.mT)), mode="r").R.mT

@@ -33,6 +33,17 @@ def drawn(seed, candidates=7, unknowns=4):
     return normal, torch.randn(2, unknowns, generator=generator, dtype=torch.float64)
 
 
+@pytest.mark.parametrize("sd", [1.0, 1e9])
+def test_what_is_hardly_known_before_is_known_as_well_as_it_is_measured(sd):
+    """K measurements of one unknown with deviations of one: a variance of sd^2 / (1 + K sd^2)."""
+    rows = sd * torch.tensor([[1.0, 0.0]] * 3, dtype=torch.float64)
+    nothing = torch.tensor([[0.0, 1e-3 * sd]], dtype=torch.float64)
+    found = plan_measurements([nothing, rows], rows[:1], 1)
+    assert found.chosen == [1]
+    assert float(found.variances[1]) == pytest.approx(sd**2 / (1 + 3 * sd**2), rel=1e-6)
+    assert float(variance_with([rows, rows], rows[:1])) == pytest.approx(sd**2 / (1 + 6 * sd**2), rel=1e-6)
+
+
 def factors_of(run, times, covariance):
     start = torch.tensor([0.5, 0.0], dtype=torch.float64)
     return prediction_factors(run.dynamics, start, times, run.dt, run.knowledge(covariance))
