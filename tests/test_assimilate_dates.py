@@ -118,5 +118,14 @@ def test_a_dated_stream_resumes_and_names_epochs(caplog):
     assert [row["epoch"][14:19] for row in rows()] == [
         f"{s // 60:02}:{s % 60:02}" for s in range(315, 465, 15)
     ]
+    Path("dated.csv").write_text("".join([*whole, *8 * [whole[1]]]))
+    caplog.clear()
+    assert assimilate(START, DATED, "state=a.state") == 0
+    assert caplog.text.count("arrived too late") == 5
+    assert "; further ones are counted" in caplog.text
+    Path("dated.csv").write_text("".join([*whole, whole[1]]))
+    Path("a.state").unlink()
+    Path("out.csv").unlink()
+    assert assimilate(START, DATED, "state=a.state") == 0
     late = "line 12: 2024-03-01T12:05:15 (time 15 s) arrived too late, after 2024-03-01T12:07:30 ("
     assert late.replace(" arrived", " from sensor position arrived") in caplog.text or late in caplog.text

@@ -224,6 +224,22 @@ def test_measurements_in_another_unit_are_suspected_by_their_factor(place, objec
     assert line.endswith(question) == (said is not None)
 
 
+def test_the_factor_of_a_unit_is_that_before_the_gate_reopened(place, capsys):
+    """Afterwards the predictions are near the wrong values."""
+    head, *lines = (place / "fixes.csv").read_text().splitlines()
+    cells = [row.split(",") for row in lines if ",S2," in row]
+    wrong = [",".join([row[0], *(repr(1e-3 * float(cell)) for cell in row[2:])]) for row in cells]
+    (place / "wrong.csv").write_text("\n".join([head.replace(",sat", ""), *wrong]) + "\n")
+    start = [f"start={STARTS[2].tolist()}", "start_sd=[0.1,1e-4]"]
+    assert (
+        assimilate("measurements=wrong.csv", GIVEN[2], *start, "output=out.csv", "plugins.ukf.patience=5")
+        == 3
+    )
+    assert (
+        "x, y, z are about 1/1000 times the predicted values: is the unit right?" in capsys.readouterr().err
+    )
+
+
 @pytest.mark.usefixtures("place")
 def test_names_of_many_objects_pass_from_their_starts_to_their_states():
     about = "EARTH", "EME2000", "UTC", instant("2024-03-01T12:00:00", utc=True), np.zeros(1)

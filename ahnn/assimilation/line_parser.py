@@ -244,7 +244,7 @@ class Layout:
 
     def _name(self, cell: str) -> str:
         """Return the column name in a header cell; raises UserError for unknown names."""
-        name, unit = column_of(cell, self.measured)
+        name, unit = column_of(cell, {*TIME, *self.measured})
         name = self._called(name)
         if name not in self.known:
             expected = f"a header with {self._expected()}"

@@ -13,7 +13,7 @@ from ahnn.assimilation.cells import BadLine
 from ahnn.assimilation.instrument_reading import Reading
 from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.online import Assimilation, Diverged
-from ahnn.assimilation.skipped_lines import SkippedLines
+from ahnn.assimilation.skipped_lines import SAID, SkippedLines
 from ahnn.assimilation.stream_estimate import Estimate
 from ahnn.assimilation.stream_session import StreamSession
 from ahnn.assimilation.stream_tally import GATED
@@ -70,6 +70,11 @@ class Session(StreamSession):
     def skipped(self) -> SkippedLines:
         """Report of invalid lines."""
         return SkippedLines()
+
+    @cached_property
+    def ignored(self) -> Counter[str]:
+        """Numbers of lines without an estimate in this command, by outcome."""
+        return Counter()
 
     @cached_property
     def parser(self) -> TableParser:
@@ -169,8 +174,11 @@ class Session(StreamSession):
         self.disordered += estimate.outcome == "late" and reading.time > self.filter.begun["time"]
         label = self._said(reading.time) + (f" from sensor {reading.sensor}" if reading.sensor else "")
         if estimate.innovation is None:
-            word = WORDS[estimate.outcome].format(now=self._said(estimate.time))
-            log.info("line %d: %s %s", number, label, word)
+            self.ignored[estimate.outcome] += 1
+            if (count := self.ignored[estimate.outcome]) <= SAID:
+                word = WORDS[estimate.outcome].format(now=self._said(estimate.time))
+                rest = "; further ones are counted" if count == SAID else ""
+                log.info("line %d: %s %s%s", number, label, word, rest)
         elif estimate.outcome == "rejected":
             name = reading.sensor or next(iter(self.filter.sensors))
             own = self.filter.sensors[name].columns, reading.values, estimate.innovation.residual
@@ -179,6 +187,7 @@ class Session(StreamSession):
             log.info("line %d: %s rejected, NIS %.3g for %d values", *told)
         elif estimate.outcome == "reopened":
             words = "reopened the gate after consecutive rejections; the covariance was enlarged"
+            self.ratios.close(reading.sensor or next(iter(self.filter.sensors)))
             log.info("line %d: %s %s", number, label, words)
 
     def _said(self, time: float) -> str:

@@ -45,6 +45,7 @@ class RejectedRatios:
 
     def __init__(self) -> None:
         self.known: dict[tuple[str, str], list[float]] = {}
+        self.closed: set[str] = set()
 
     def add(self, sensor: str, names: Sequence[str], values: ArrayLike, residuals: ArrayLike) -> None:
         """Add rejected measurements.
@@ -55,6 +56,8 @@ class RejectedRatios:
             values: (..., M) measured values, NaN where missing.
             residuals: (..., M) measurements minus predictions.
         """
+        if sensor in self.closed:
+            return
         measured = np.asarray(values, dtype=np.float64).reshape(-1, len(names))
         predicted = measured - np.asarray(residuals, dtype=np.float64).reshape(-1, len(names))
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -62,6 +65,11 @@ class RejectedRatios:
         for name, column in zip(names, ratios.T, strict=True):
             own = self.known.setdefault((sensor, name), [])
             own += column[np.isfinite(column)][: KEPT - len(own)].tolist()
+
+    def close(self, sensor: str) -> None:
+        """Ignore later measurements of a sensor, whose reopened gate has moved the predictions to them."""
+        if any(whose == sensor and len(ratios) >= LEAST for (whose, _), ratios in self.known.items()):
+            self.closed.add(sensor)
 
     def update(self, other: RejectedRatios) -> None:
         """Add the ratios of another stream."""

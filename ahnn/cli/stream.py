@@ -147,7 +147,9 @@ def build_sensors(
             known = truth() if sd is None and named == "position" else None
             called = str(name) or (named if isinstance(named, str) else type(model).__name__)
             try:
-                sd = sd if known is None else known.noise.measurement
+                if known is not None:
+                    sd, unit = known.noise.measurement, run.space.units.position
+                    log.info("%s.sd: not set; %g %s is used, as in %s", who, sd, unit, run.space.name)
                 made[called] = StreamSensor.of(model, sd, run.space, bias_sd=bias[0], bias_memory=bias[1])
             except UserError as error:
                 message = f"{who}.{error}"

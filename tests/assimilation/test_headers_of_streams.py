@@ -39,6 +39,16 @@ def test_a_steep_elevation_is_given_in_the_unit_of_its_column():
         assert said(header, "1,3858.7,0.28,4.32") == radians + "column elevation [deg]"
 
 
+@pytest.mark.parametrize(
+    "header", ["t_min,range_m,azimuth_deg,elevation_deg", "time_min,range_m,azimuth,elevation"]
+)
+def test_names_of_columns_may_end_with_their_units(header):
+    turn = 57.29577951308232 if "deg" in header else 1.0
+    layout = Layout(header, {"kiruna": STATION}, StreamClock("s", None, "UTC"))
+    found = layout.reading(f"2,3858700,{0.28 * turn},{0.32 * turn}")
+    assert (found.time, found.values) == (120.0, pytest.approx((3858.7, 0.28, 0.32)))
+
+
 def test_a_column_epoch_is_the_time_of_a_stream():
     clock = StreamClock("s", instant("2024-03-01T12:00:00", utc=True), "UTC")
     date, numbers = "2024-03-01T12:01:00", "3858.7,0.28,0.32"

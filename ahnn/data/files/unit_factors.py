@@ -45,7 +45,9 @@ def scales(header: Header, roles: Roles, place: Place, *, weighed: bool) -> Scal
     if len(without) == len(columns):
         return Scales(Units(), 1.0, (1.0,) * len(roles.positions), (1.0,) * len(roles.rates))
     if without:
-        remedy = "Use [1] for pure numbers"
+        name = header.names[without[0]]
+        written = f"Write {name} [s] or {name}_s for seconds, " if without[0] == roles.time else "Use "
+        remedy = f"{written}[1] for pure numbers"
         place._replace(column=header.names[without[0]]).refuse(
             "a unit, since other columns have one", "none", remedy
         )

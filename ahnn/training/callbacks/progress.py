@@ -75,7 +75,9 @@ class TrainingProgress(ProgressBar):
         values = [f"{name} {float(v):.2e}" for name, v in trainer.callback_metrics.items() if "val/" in name]
         elapsed, behind = time.monotonic() - self._began, sum(self._amounts[self._first : done])
         left = elapsed / behind * sum(self._amounts[done:])
-        log.info("epoch %d/%d  %s  about %.0f s left", done, epochs, "  ".join(values), left)
+        stages = getattr(cast(Any, trainer).datamodule, "stages", None)
+        rest = "" if stages is None else ", then the closing stage"
+        log.info("epoch %d/%d  %s  about %.0f s left%s", done, epochs, "  ".join(values), left, rest)
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Close the bar."""

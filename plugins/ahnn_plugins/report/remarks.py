@@ -68,7 +68,9 @@ def _filters(board: Board) -> Iterator[str]:
         yield f"{len(entries) - kept} of {len(entries)} runs kept no predictions, so figures omit these runs."
     rows = [any(r.who.estimator and r.who.process == MODEL for r in e.results.rows) for e in entries]
     if not any(rows):
-        yield "No run was evaluated with a filter (plugins=ukf)."
+        later = any((entry.folder / "evaluations").is_dir() for entry in entries)
+        rest = " Evaluations after the training (evaluations/) are not part of the report." if later else ""
+        yield f"No training was evaluated with a filter (plugins=ukf).{rest}"
     elif not all(rows):
         yield f"{rows.count(False)} of {len(rows)} runs were not evaluated with a filter."
 

@@ -22,6 +22,10 @@ FAULTS = {
     "short row": (GOOD.replace("b,0,1,2", "b,0,1"), "row 4: expected 4 cells, as in the header; received 3"),
     "long row": (GOOD.replace("b,0,1,2", "b,0,1,2,9"), "row 4: expected 4 cells"),
     "no time": (GOOD.replace("t [s]", "u [s]"), "row 1: expected one column named t, time or epoch"),
+    "no unit of time": (
+        GOOD.replace("t [s]", "t"),
+        "column t: expected a unit, since other columns have one; received none. Write t [s] or t_s",
+    ),
     "two times": (GOOD.replace("id", "time [s]"), "expected one column named t, time or epoch"),
     "time missing": (GOOD.replace("a,1,2,3", "a,,2,3"), "row 3, column t: expected a time; received none"),
     "duplicate": (
