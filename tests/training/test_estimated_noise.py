@@ -11,10 +11,10 @@ from torch.nn.utils import parameters_to_vector
 from ahnn.measurements import Position, State, UnknownNoise
 from ahnn.measurements.coloured_noise import Colour
 from ahnn.shooting.robust import ROBUST
-from ahnn.training.estimated_noise import conclude_with_noise
+from ahnn.training.estimated_noise import alike, conclude_with_noise
 from ahnn.training.laplace import conclude
 from ahnn.training.maximum_posterior import WideProblem
-from ahnn.training.noise_likelihood import Residuals, most_likely, restricted
+from ahnn.training.noise_likelihood import FoundNoise, Residuals, most_likely, restricted
 from ahnn.training.shared_bias import columns_of, of_biases
 
 DOUBLE = {"dtype": torch.float64}
@@ -59,6 +59,20 @@ def test_the_restricted_likelihood_is_the_dense_formula():
         projected = inverse - inverse @ x @ normal.inverse() @ x.T @ inverse
         total = total + v.logdet() + normal.logdet() + r @ projected @ r
     close(restricted(left, scales, colour), total, 1e-9)
+
+
+def test_estimates_are_alike_where_all_their_numbers_are():
+    one = FoundNoise(
+        torch.tensor([0.5, 2.0], **DOUBLE), Colour(*torch.tensor([[0.5, 0.5], [3.0, 3.0]], **DOUBLE))
+    )
+    near = one._replace(scales=one.scales * (1 + 1e-9))
+    assert alike(one, near)
+    for other in (
+        one._replace(scales=torch.tensor([0.5, 2.2], **DOUBLE)),
+        one._replace(scales=1 / one.scales),
+        one._replace(colour=Colour(*torch.tensor([[0.5, 0.5], [6.0, 3.0]], **DOUBLE))),
+    ):
+        assert not alike(one, other)
 
 
 def test_white_noise_stays_white_and_its_size_is_found():

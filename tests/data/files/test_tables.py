@@ -9,6 +9,7 @@ import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from made_files import csv_of, said
 
 from ahnn.data import Files
 from ahnn.data.windows import stretches
@@ -176,3 +177,16 @@ def test_ten_usual_steps_are_a_gap_unless_told(tmp_path, factor, gap):
     steps[30] = factor * np.median(steps)
     rows = [(float(t), 0.0, 0.0) for t in steps.cumsum()]
     assert bool((~read(tmp_path, table("t,q,v", rows)).read().present).any()) == gap
+
+
+def test_a_sidecar_names_the_object_of_a_table_without_ids_and_those_of_one_with_ids(tmp_path):
+    header, rows = ["t [s]", "x [km]", "vx [km/s]"], [[0, 1, 2], [1, 2, 3], [2, 3, 4]]
+    (tmp_path / "a.csv").write_text(csv_of(header, rows))
+    (tmp_path / "b.csv").write_text(csv_of(["id", *header], [[one, *row] for one in "AB" for row in rows]))
+    (tmp_path / "a.yaml").write_text("objects: {2026-001A: MYGTO}\n")
+    (tmp_path / "b.yaml").write_text("objects: {B: MYLEO}\n")
+    found = [
+        [(track.name, track.title) for track in said(tmp_path / name)[0].tracks]
+        for name in ("a.csv", "b.csv")
+    ]
+    assert found == [[("2026-001A", "MYGTO")], [("A", ""), ("B", "MYLEO")]]
