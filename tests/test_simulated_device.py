@@ -26,6 +26,7 @@ from ahnn.shooting import initial_states, normal_points
 from ahnn.training import LevenbergMarquardt, Shooting
 from ahnn.training.member_damping import member_damped_steps
 from ahnn.training.weak import Weak
+from ahnn.uncertainty import drawn, sampled_paths
 
 DOUBLE = {"dtype": torch.float64}
 KINDS = {
@@ -212,3 +213,23 @@ def test_a_step_of_an_ensemble_on_windows(tmp_path):
             ends.append([losses.cpu(), *(parameters_to_vector(m.parameters()).cpu() for m in members)])
     for here, there in zip(*ends, strict=True):
         close(there, here, 1e-4)
+
+
+@pytest.mark.parametrize("uncertain", [False, True])
+def test_sampled_paths(uncertain):
+    """Draws are those of the CPU, for starts alone and with parameters."""
+    learned, lengths = dynamics(), torch.full((2, 3), 0.1, **DOUBLE)
+    start, own = torch.tensor([[1.0, 0.2], [0.5, 0.1]], **DOUBLE), 0.1 * torch.eye(2, **DOUBLE)
+    count = len(parameters_to_vector(learned.parameters()))
+    spread = 0.01 * torch.randn(count, 3, generator=generator(1), **DOUBLE) if uncertain else None
+
+    def last(learned, place):
+        options = {"own": place(own), "common": None, "spread": None if spread is None else place(spread)}
+        *_, states = sampled_paths(learned, drawn(place(start), 4, 0, **options), place(lengths))
+        return states
+
+    here = last(learned, lambda tensor: tensor)
+    with simulated_device() as device:
+        there = last(copy.deepcopy(learned).to(device), lambda tensor: tensor.to(device))
+        assert there.device == device
+        close(there.cpu(), here, 1e-12)

@@ -49,7 +49,7 @@ def drawn(
 
     def normal(*shape: int) -> Tensor:
         half = torch.randn(-(-count // 2), *shape, generator=generator, dtype=torch.float64)
-        return torch.cat((half, -half))[:count]
+        return torch.cat((half, -half))[:count].to(start.device)
 
     starts, moves = start.double().expand(count, *start.shape), None
     if spread is not None:
