@@ -124,6 +124,15 @@ def test_a_claim_takes_no_file_of_somebody_else(tmp_path):
     assert (tmp_path / ".claim").read_bytes() == MINE
 
 
+def test_a_manifest_that_another_process_has_only_begun_is_shared(tmp_path):
+    (tmp_path / NAME).touch()
+    write_atomically(tmp_path / "a.csv", b"x")
+    require_own([tmp_path / "a.csv"], "test")
+    (tmp_path / "mine.csv").write_bytes(MINE)
+    with pytest.raises(UserError, match="neither"):
+        require_own([tmp_path / "mine.csv"], "test")
+
+
 def test_threads_share_a_manifest(tmp_path):
     paths = [tmp_path / f"{k}.csv" for k in range(40)]
     workers = [threading.Thread(target=write_atomically, args=(path, b"x")) for path in paths]
