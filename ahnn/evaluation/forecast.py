@@ -152,14 +152,15 @@ def forecast(
     of_state = here.of_state / told.weight(torch.ones_like(part.values)).sqrt().unsqueeze(-1)
     begin = max(int(early.sum(1).min()) - 1, 0)
     variances = Variances.of(causes, of_state, there, spread.shape[1], begin)
-    standard = variances.states.sqrt()
-    off_true = None if true is None else (states[:, steps.ends] - true) / standard
-    known = None if off_true is None else after_parts(off_true, early)
-    index = interval_nonlinearity(dynamics, states, steps, variances)
-    beyond, off_all = index > LINEAR, None
-    if true is not None and off_true is not None and samples:
-        given = dynamics, states, steps, variances, spread, true, begin, samples
-        off_all = torch.where(beyond.unsqueeze(-1), sampled_errors(*given), off_true)
+    beyond = interval_nonlinearity(dynamics, states, steps, variances) > LINEAR
+    known: dict[str, Any] = {"states": None}
+    if true is not None:
+        off_true = (states[:, steps.ends] - true) / variances.states.sqrt()
+        known = true_coverages(off_true, there, beyond, early)
+        if samples:
+            given = dynamics, states, steps, variances, spread, true, begin, samples
+            off_all = torch.where(beyond.unsqueeze(-1), sampled_errors(*given), off_true)
+            known["sampled"] = partial(off_all, there, early)
     ahead, total = later & ~part.values.isnan(), 1 + variances.values
     rows, width = part.residuals(states[:, steps.ends]), total[ahead]
     off = rows / total.sqrt() if freedom is None else normal_scores(rows, freedom, variances.values)
@@ -169,17 +170,31 @@ def forecast(
         coverage=shares(off[counted]),
         width=float(width[counted].nanmean().sqrt()),
         parameters=float((variances.parameters / variances.states)[ahead.any(-1)].nanmean()),
-        states=None if off_true is None else shares(off_true[there]),
         right=middle(variances.within / int(there.sum())),
         lost=int((~met).sum()),
         trajectories=len(met),
         outliers=1 - float(counted.double().mean()),
-        single=None if known is None else tuple(tuple(row) for row in known[0].tolist()),
-        parts=None if known is None else tuple(shares(row[row.isfinite()]) for row in known.unbind(1)),
         nonlinear=float(beyond[ahead.any(-1)].double().mean()),
-        linear=None if off_true is None else partial(off_true, there & ~beyond.unsqueeze(-1), early),
-        sampled=None if off_all is None else partial(off_all, there, early),
+        **known,
     )
+
+
+def true_coverages(off: Tensor, there: Tensor, beyond: Tensor, early: Tensor) -> dict[str, Any]:
+    """Return the fields of a `Forecast` on the coverage of true states by first-order bands.
+
+    Args:
+        off: errors of the true states in standard deviations, (B, K + 1, D).
+        there: mask of forecast states, (B, K + 1, D).
+        beyond: mask of times beyond the linear range, (B, K + 1).
+        early: mask of fitted times, (B, K + 1).
+    """
+    known = after_parts(off, early)
+    return {
+        "states": shares(off[there]),
+        "single": tuple(tuple(row) for row in known[0].tolist()),
+        "parts": tuple(shares(row[row.isfinite()]) for row in known.unbind(1)),
+        "linear": partial(off, there & ~beyond.unsqueeze(-1), early),
+    }
 
 
 def interval_nonlinearity(dynamics: Dynamics, states: Tensor, steps: Steps, variances: Variances) -> Tensor:
