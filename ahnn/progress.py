@@ -24,6 +24,7 @@ SELDOM = 30.0
 """Seconds between log lines of a stage."""
 log = logging.getLogger("ahnn")
 _note: ContextVar[Callable[[str], None] | None] = ContextVar("note", default=None)
+_step: ContextVar[str] = ContextVar("step", default="")
 
 
 def _console() -> Console:
@@ -86,4 +87,16 @@ def stage(description: str) -> Iterator[None]:
 def note(text: str) -> None:
     """Show what the current stage does; without effect outside a stage."""
     if (show := _note.get()) is not None:
-        show(text)
+        show(_step.get() + text)
+
+
+def counted(most: int, name: str) -> Iterator[int]:
+    """Yield the indices of at most `most` steps; notes then start with the step and the mean time of a step."""
+    began = time.monotonic()
+    for k in range(most):
+        each = f" ({(time.monotonic() - began) / k:.2g} s each)" if k else ""
+        token = _step.set(f"{name} {k + 1} of at most {most}{each}, ")
+        try:
+            yield k
+        finally:
+            _step.reset(token)

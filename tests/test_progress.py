@@ -18,3 +18,20 @@ def test_a_silent_bar_leaves_no_empty_line(capsys):
     with progress.stage("a stage"):
         progress.note("a note")
     assert capsys.readouterr().err == ""
+
+
+def test_notes_name_the_step_and_its_usual_time(caplog, monkeypatch):
+    clock = iter(range(0, 1000, 40))
+    monkeypatch.setattr(progress.time, "monotonic", lambda: float(next(clock)))
+    with caplog.at_level("INFO"), progress.stage("a stage"):
+        for k in progress.counted(3, "step"):
+            progress.note("a note")
+            if k == 1:
+                break
+        progress.note("another")
+    said = [record.message.partition(" s so far")[0].rpartition(",")[0] for record in caplog.records]
+    assert said == [
+        "a stage: step 1 of at most 3, a note",
+        "a stage: step 2 of at most 3 (80 s each), a note",
+        "a stage: another",
+    ]

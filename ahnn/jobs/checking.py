@@ -17,6 +17,9 @@ from ahnn.evaluation.terminal import show
 from ahnn.files import require_writable
 from ahnn.jobs.tracking_checking import tracking_check
 
+PROPAGATED = {"step": 60.0, "duration": 86400.0}
+"""Default sampling of the orbits of element sets, in seconds."""
+
 
 def check(paths: Sequence[Path], figures: Path | None, options: dict[str, Any]) -> None:
     """Show all defects of files: trajectories jointly, tracking files individually.
@@ -39,7 +42,7 @@ def check(paths: Sequence[Path], figures: Path | None, options: dict[str, Any]) 
         faults += sum(one.level == "fault" for one in findings)
     if others := [path for path in paths if path not in tracking]:
         mass, gap = options.get("mass"), options.get("gap", 10.0)
-        how = {key: value for key, value in options.items() if key not in ("mass", "gap")}
+        how = PROPAGATED | {key: value for key, value in options.items() if key not in ("mass", "gap")}
         found = examine(others, FileReading(mass is not None, **how), mass, gap)
         show(checkup(found))
         if figures is not None:

@@ -10,6 +10,7 @@ from ahnn.labels import quantity
 from ahnn.prediction.prediction_table import labels
 from ahnn.prediction.propagation import Prediction
 from ahnn.types import Space
+from ahnn.uncertainty import BEYOND
 
 SIGMAS = 3
 """Half-width of the band, in standard deviations."""
@@ -45,7 +46,7 @@ def prediction_figure(prediction: Prediction, space: Space, title: str, about: s
                 panels[2].semilogy(time, sd.where(sd > 0, torch.nan), color=colour, label=name)
     if prediction.novelty is not None:
         panels[-1].plot(time, prediction.novelty[0], color=style.BLACK)
-        panels[-1].axhline(1.0, color=style.VERMILLION, ls="--", lw=1, label="edge of the\ntraining data")
+        panels[-1].axhline(BEYOND, color=style.VERMILLION, ls="--", lw=1, label="limit of the\ntraining data")
         panels[-1].set_ylabel("novelty")
         panels[-1].set_ylim(bottom=0)
     for axes in panels:

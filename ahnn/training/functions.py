@@ -18,6 +18,7 @@ from torch.nn.utils import parameters_to_vector
 
 from ahnn.dynamics import Dynamics
 from ahnn.dynamics.linearised import linearised
+from ahnn.progress import counted
 from ahnn.training.levenberg_marquardt import SUFFICIENT
 from ahnn.training.maximum_posterior import PosteriorPoint, WideProblem, after, of_functions
 
@@ -90,7 +91,7 @@ def lowest(problem: WideProblem, dynamics: Dynamics, origin: Tensor, here: Poste
     """
     theta, places = here.theta + here.offset, [here]
     best: Taken | None = None
-    for _ in range(STEPS):
+    for _ in counted(STEPS, "step in function space"):
         found = linearised(dynamics, theta - origin)
         if found is None:
             break

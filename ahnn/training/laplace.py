@@ -25,6 +25,7 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from ahnn.dynamics import Dynamics
 from ahnn.measurements import Segment
+from ahnn.progress import counted
 from ahnn.shooting.robust import RobustName, loss_of, variance
 from ahnn.training.acceleration import accelerated
 from ahnn.training.evidence import by_evidence, log_evidence
@@ -116,7 +117,7 @@ def approached(
     problem = whole_problem(dynamics, train, loss_of(robust, train.instrument.freedom))
     here = place(problem, parameters_to_vector(parameters), sizes)
     damping, gained = DAMPING, float("inf")
-    for _ in range(steps):
+    for _ in counted(steps, "step"):
         if here is None or min(here.remaining, gained) <= ARRIVED * here.determined:
             break
         theta, damping, decrease = lower(problem, here, damping)

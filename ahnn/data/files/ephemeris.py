@@ -31,6 +31,8 @@ VERSIONS = ("1.0", "2.0", "3.0")
 ALONE = "Give the ephemeris in a separate file"
 FIXED = ("EME2000", "GCRF", "ICRF")
 """Frames without an epoch."""
+COMMENTS = 3
+"""Number of comments that are quoted."""
 SLACK = epochs.SECOND // 1000
 """Tolerance for rounded ends of time spans."""
 
@@ -104,6 +106,7 @@ class MessageBlock:
         vectors: states with line numbers: an epoch and at least six numbers.
         matrices: covariances with line numbers: epoch, frame and the 21 numbers of a lower triangle.
         unused: other content, which is not read.
+        comments: comments; those of a message are kept in its first segment.
     """
 
     place: Place
@@ -111,6 +114,7 @@ class MessageBlock:
     vectors: list[tuple[int, list[str]]] = field(default_factory=list)
     matrices: list[tuple[int, str, str, list[str]]] = field(default_factory=list)
     unused: dict[str, None] = field(default_factory=dict)
+    comments: list[str] = field(default_factory=list)
 
     def say(self, key: str, value: str, place: Place) -> None:
         """Add a metadata field; raises UserError for a duplicate."""
@@ -219,6 +223,9 @@ def remarks(blocks: list[MessageBlock], *, covariances: bool = True) -> list[Rem
         found.append(Remark(Place(blocks[0].place.file), what))
     if names:
         found.append(Remark(Place(blocks[0].place.file), f"not used: {', '.join(names)}"))
+    if lines := [line for block in blocks for line in block.comments]:
+        more = f"; and {len(lines) - COMMENTS} more" if len(lines) > COMMENTS else ""
+        found.append(Remark(Place(blocks[0].place.file), f"comments: {'; '.join(lines[:COMMENTS])}{more}"))
     return found
 
 

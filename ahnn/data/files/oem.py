@@ -57,8 +57,7 @@ def blocks_of(text: str, file: str, note: Note = refuse) -> list[MessageBlock]:
             add_covariance(blocks[-1], line, place)
     if state != "data":
         Place(file, used[-1][0]).refuse("a segment from META_START to its states", f"the end of its {state}")
-    if any(line.startswith("COMMENT") for _, line in lines):
-        blocks[0].unused["COMMENT"] = None
+    blocks[0].comments = [line[len("COMMENT") :].strip() for _, line in lines if line.startswith("COMMENT")]
     return blocks
 
 

@@ -51,8 +51,7 @@ def blocks_of(text: str, file: str) -> list[MessageBlock]:
         Place(file, error.lineno).refuse("XML", expat.ErrorString(error.code))
     if not reader.blocks:
         Place(file).refuse("an orbit ephemeris message <oem> with a <segment>", "none")
-    if reader.comments:
-        reader.blocks[0].unused["COMMENT"] = None
+    reader.blocks[0].comments = reader.comments
     return reader.blocks
 
 
@@ -62,7 +61,7 @@ class _Reader:
     def __init__(self, file: str) -> None:
         self.file, self.blocks, self.text = file, list[MessageBlock](), ""
         self.texts: dict[str, str] = {}
-        self.group, self.comments = "", False
+        self.group, self.comments = "", list[str]()
         self.parser = expat.ParserCreate()
         self.parser.StartElementHandler = self.start
         self.parser.EndElementHandler = self.end
@@ -112,7 +111,7 @@ class _Reader:
             self.add(tag)
             self.group = ""
         elif tag == "COMMENT":
-            self.comments = True
+            self.comments.append(self.text.strip())
         elif self.group:
             if tag in self.texts:
                 self.place._replace(column=tag).refuse("each element once", "it twice")

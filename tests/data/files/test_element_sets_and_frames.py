@@ -17,6 +17,7 @@ from ahnn.data.files import Ephemeris, frames, instant, write_oem
 from ahnn.data.files.reading import FileReading
 from ahnn.errors import UserError
 from ahnn.evaluation import load_results
+from ahnn.jobs.checking import check
 from ahnn.loading import load
 
 VANGUARD = """VANGUARD 1
@@ -204,3 +205,15 @@ def test_a_frame_that_cannot_be_turned_is_refused(tmp_path, header, sidecar, exp
         (tmp_path / "a.yaml").write_text(sidecar)
     with pytest.raises(UserError, match=expected):
         Files("mine", str(tmp_path / "a.csv"), frame="GCRF")
+
+
+def test_the_data_check_propagates_element_sets_for_a_day(tmp_path, capsys):
+    pytest.importorskip("sgp4")
+    (tmp_path / "a.tle").write_text(VANGUARD)
+    check([tmp_path / "a.tle"], None, {})
+    of_a_day = capsys.readouterr().out
+    assert "1,441" in of_a_day
+    check([tmp_path / "a.tle"], None, {"step": 60.0, "duration": 86400.0})
+    assert capsys.readouterr().out == of_a_day
+    check([tmp_path / "a.tle"], None, {"duration": 600.0})
+    assert capsys.readouterr().out != of_a_day

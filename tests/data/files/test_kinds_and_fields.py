@@ -115,7 +115,8 @@ def test_what_is_not_used_is_said_once_and_logged(tmp_path, message, caplog):
     _, notes = said(path)
     assert [(one.level, one.what) for one in notes] == [
         ("warning", notes[0].what),
-        ("note", "not used: X_DDOT, Y_DDOT, Z_DDOT, COMMENT, INTERPOLATION, INTERPOLATION_DEGREE"),
+        ("note", "not used: X_DDOT, Y_DDOT, Z_DDOT, INTERPOLATION, INTERPOLATION_DEGREE"),
+        ("note", "comments: thrust"),
     ]
     assert "USABLE_START_TIME is not an OEM keyword" in notes[0].what
     assert "did you mean 'USEABLE_START_TIME'?" in notes[0].what
