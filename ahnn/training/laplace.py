@@ -15,6 +15,7 @@ corrections, which do not need the true dynamics, may widen it:
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -38,9 +39,13 @@ from ahnn.training.maximum_posterior import PosteriorPoint, WideProblem, after, 
 from ahnn.training.normal_equations import Equations, damped_step, promised_decrease
 from ahnn.training.shared_bias import spread_over
 from ahnn.uncertainty import Uncertainty
+from ahnn.uncertainty.posterior import is_unfinished
 
+log = logging.getLogger("ahnn")
 DAMPING = 1e-6
 """Initial damping: float32 training determines directions only to a millionth of the best observable ones."""
+FURTHER = 10
+"""Maximum number of further steps if the training would otherwise end before its optimum."""
 HARDER = 10.0
 """Factor on the damping after a step beyond the linear range."""
 REFUSED = 3.0902
@@ -66,19 +71,34 @@ def conclude(
     Returns:
         None if no trajectory is fitted; the parameters are then unchanged.
     """
+    choose_lengths(dynamics, train, loss_of(robust, train.instrument.freedom))
     found = _concluded(dynamics, train, held_out, steps, robust)
     if found is None:
         return None
+    if is_unfinished(found.about):
+        found = _continued(found, dynamics, train, held_out, robust)
     learned, known = found.taken(dynamics)  # fits of the trajectories may need this step
     uncertain, _ = known.tangent or (dynamics, known)
     return replace(found, directions=least_told(uncertain, found.spread, train, robust, learned))
+
+
+def _continued(
+    found: Uncertainty, dynamics: Dynamics, train: Segment, held_out: Segment, robust: RobustName
+) -> Uncertainty:
+    """Take further parameter steps after an unfinished training; keep their result if its remaining step is shorter."""
+    log.info("the training has not reached its optimum: at most %d further steps", FURTHER)
+    before = parameters_to_vector(dynamics.parameters())
+    again = _concluded(dynamics, train, held_out, FURTHER, robust)
+    if again is not None and again.about["remaining"] < found.about["remaining"]:
+        return again
+    vector_to_parameters(before, dynamics.parameters())
+    return found
 
 
 def _concluded(
     dynamics: Dynamics, train: Segment, held_out: Segment, steps: int, robust: RobustName
 ) -> Uncertainty | None:
     loss = loss_of(robust, train.instrument.freedom)
-    choose_lengths(dynamics, train, loss)
     problem, here, gained = approached(dynamics, train, steps, robust)
     if here is None:
         return None

@@ -20,6 +20,8 @@ from ahnn.prediction.figure import prediction_figure
 from ahnn.prediction.propagation import Prediction
 
 __all__ = ["here"]
+QUIET = "plugins.ukf.process_noise=[1e-6,1e-9]"
+"""A fixed process noise, since a fit of it to validation data takes seconds."""
 
 
 def test_the_line_of_a_prediction_names_its_first_epoch_and_what_is_not_stated(capsys):
@@ -33,7 +35,7 @@ def test_the_line_of_a_prediction_names_its_first_epoch_and_what_is_not_stated(c
     run = framed(Path("run"), "EME2000, EARTH, UTC, from 2024-03-01T12:00:00.000")
     Path("fixes.csv").write_text("t,x,y,z\n1200,0,-3145,-6173\n")
     begun = [f"start={STATE.tolist()}", "start_sd=[1,0.001]", "time=1200", "measurements=fixes.csv"]
-    sensor = ["+sensors.fix.model=position", "+sensors.fix.sd=[1]"]
+    sensor = ["+sensors.fix.model=position", "+sensors.fix.sd=[1]", QUIET]
     files = ["output=track.csv", "oem=track.oem", "figures=pictures"]
     assert call("ahnn.assimilate", f"run={run}", *begun, *sensor, *files) == 0
     capsys.readouterr()
@@ -56,7 +58,7 @@ def test_identifier_and_name_of_an_object_pass_from_file_to_file():
     write_oem("start.oem", [Ephemeris(*about, np.zeros(1), STATE[None], known)])
     run = f"run={framed(Path('run'), 'EME2000, EARTH, UTC, from 2024-03-01T12:00:00.000')}"
     Path("fixes.csv").write_text("t,x,y,z\n600,0,-3145,-6173\n")
-    stream = [run, "measurements=fixes.csv", "+sensors.fix.model=position", "+sensors.fix.sd=[1e4]"]
+    stream = [run, "measurements=fixes.csv", "+sensors.fix.model=position", "+sensors.fix.sd=[1e4]", QUIET]
     for k, (start, more, name) in enumerate(
         (("start.oem", [], "MYGTO"), ("start.oem", ["object=OTHER"], "OTHER"), ("numbers", ["object=X"], "X"))
     ):
@@ -116,7 +118,7 @@ def test_weights_of_an_interrupted_training_are_called_preliminary(caplog):
     asked = [f"run={run}", f"start={STATE.tolist()}", *SHORT, "output=ahead.csv"]
     Path("fixes.csv").write_text("t,x,y,z\n600,0,-3145,-6173\n")
     stream = [asked[0], "measurements=fixes.csv", "+sensors.fix.model=position", "+sensors.fix.sd=[1e4]"]
-    stream += [asked[1], "start_sd=[1,0.001]", "time=0"]
+    stream += [asked[1], "start_sd=[1,0.001]", "time=0", QUIET]
     said = "run run: the training was not finished"
     for k, unfinished in enumerate((False, True)):
         if unfinished:
@@ -149,6 +151,7 @@ def test_a_start_of_several_states_says_which_one_it_is(caplog):
         "measurements=fixes.csv",
         "+sensors.fix.model=position",
         "+sensors.fix.sd=[1e4]",
+        QUIET,
         "start=ahead.oem",
     ]
     assert call("ahnn.assimilate", MOLNIYA, *begun, "start_sd=[1,0.001]", "time=0", "output=track.csv") == 0
@@ -172,7 +175,7 @@ def test_name_and_international_designator_of_mean_elements_reach_the_messages()
     Path("a.tle").write_text("\n".join(["0 VANGUARD 1", *lines]) + "\n")
     Path("b.json").write_text(json.dumps(OMM))
     Path("fixes.csv").write_text("t,x,y,z\n2000-06-27T18:51:19,7000,0,0\n")
-    stream = ["measurements=fixes.csv", "+sensors.fix.model=position", "+sensors.fix.sd=[1e4]"]
+    stream = ["measurements=fixes.csv", "+sensors.fix.model=position", "+sensors.fix.sd=[1e4]", QUIET]
     stream += ["start_sd=[1e4,10]", "plugins.ukf.process_noise=[1e-3,1e-5]"]
     for start, name in (("a.tle", "00005"), ("b.json", "5")):
         assert call("ahnn.predict", MOLNIYA, f"start={start}", *SHORT, "output=out.oem") == 0

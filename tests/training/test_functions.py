@@ -137,6 +137,7 @@ def test_steps_of_functions_that_do_not_pay_are_not_taken(started, monkeypatch):
     wrong = lambda dynamics, step: linearised(dynamics, -step)  # noqa: E731
     monkeypatch.setattr(functions, "linearised", wrong)
     monkeypatch.setattr(functions, "STEPS", 1)
+    monkeypatch.setattr(laplace, "FURTHER", 0)
     found = conclude(model, problem.batch, batch_of(1, rows=10), 0)
     assert found.step is None
     assert found.about["remaining"] > 20

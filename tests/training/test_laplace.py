@@ -60,6 +60,13 @@ def test_too_small_a_standard_deviation_inflates_the_covariance():
     close(blown.covariance, max(plain.inflation, 1) * plain.covariance, 0.15)
 
 
+@pytest.fixture
+def ends_early(monkeypatch):
+    """No further steps for trainings that have not reached their optimum."""
+    monkeypatch.setattr(laplace, "FURTHER", 0)
+
+
+@pytest.mark.usefixtures("ends_early")
 def test_a_training_that_ended_early_says_how_far_it_is_from_its_optimum():
     batch, other = batch_of(0), batch_of(1, rows=10)
     optimum = flat(learned(batch, 7))
@@ -80,6 +87,7 @@ def test_the_last_steps_end_in_the_optimum():
     assert float(gap.square().sum()) < 0.2
 
 
+@pytest.mark.usefixtures("ends_early")
 @pytest.mark.parametrize(("share", "steps"), [(0.0495, 1), (0.0505, 4)])
 def test_no_step_follows_one_that_gained_nothing(share, steps, monkeypatch):
     """Beside what noise alone gives each parameter that the data determine."""
@@ -95,6 +103,7 @@ def test_no_step_follows_one_that_gained_nothing(share, steps, monkeypatch):
     assert len(taken) == steps
 
 
+@pytest.mark.usefixtures("ends_early")
 @pytest.mark.parametrize("share", [0.0495, 0.0505])
 def test_what_is_left_is_no_more_than_the_last_step_gained_where_that_was_next_to_nothing(share, monkeypatch):
     promised = conclude(Swing(2.01, 0.49), batch_of(0), batch_of(1, rows=10), 0)

@@ -1,0 +1,39 @@
+"""Further steps of a training that would otherwise end before its optimum."""
+
+from __future__ import annotations
+
+import torch
+from oscillators import Swing
+from test_laplace import batch_of, flat, learned
+
+from ahnn.training import laplace
+from ahnn.training.laplace import conclude
+
+
+def test_a_training_goes_on_until_it_reaches_its_optimum(caplog):
+    batch, other = batch_of(0), batch_of(1, rows=10)
+    optimum, early = flat(learned(batch, 7)), Swing(2.01, 0.49)
+    with caplog.at_level("INFO"):
+        found = conclude(early, batch, other, 0)
+    assert "the training has not reached its optimum: at most 10 further steps" in caplog.text
+    assert found.about["remaining"] < 0.05 * found.about["determined"]
+    gap = torch.linalg.solve(found.factor, flat(early) - optimum)
+    assert float(gap.square().sum()) < 0.2
+    caplog.clear()
+    with caplog.at_level("INFO"):
+        conclude(early, batch, other, 0)
+    assert "has not reached" not in caplog.text
+
+
+def test_further_steps_that_do_not_help_are_undone(monkeypatch):
+    batch, other = batch_of(0), batch_of(1, rows=10)
+    before = flat(early := Swing(2.01, 0.49))
+
+    def away(problem, here, damping):
+        del problem
+        return here.theta + 0.05, damping, 1e9
+
+    monkeypatch.setattr(laplace, "lower", away)
+    found = conclude(early, batch, other, 0)
+    assert torch.equal(flat(early), before)
+    assert found.about["remaining"] > found.about["determined"]
