@@ -91,7 +91,7 @@ def note(text: str) -> None:
 
 
 def counted(most: int, name: str) -> Iterator[int]:
-    """Yield the indices of at most `most` steps; notes then start with the step and the mean time of a step."""
+    """Yield the indices of at most `most` steps; notes then start with the step and its mean time."""
     began = time.monotonic()
     for k in range(most):
         each = f" ({(time.monotonic() - began) / k:.2g} s each)" if k else ""

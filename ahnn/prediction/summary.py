@@ -29,7 +29,8 @@ def summary(prediction: Prediction, starts: Starts, space: Space, title: str) ->
     if prediction.novelty is not None:
         last, most = float(prediction.novelty[0, -1]), float(prediction.novelty.max())
         lines.append(
-            f"  {'novelty':16s}{last:>16.3g}    at most {most:.3g} on the way (training data: up to {BEYOND:g})"
+            f"  {'novelty':16s}{last:>16.3g}    at most {most:.3g} on the way ("
+            f"training data: up to {BEYOND:g})"
         )
     return "\n".join(lines)
 

@@ -85,7 +85,7 @@ def conclude(
 def _continued(
     found: Uncertainty, dynamics: Dynamics, train: Segment, held_out: Segment, robust: RobustName
 ) -> Uncertainty:
-    """Take further parameter steps after an unfinished training; keep their result if its remaining step is shorter."""
+    """Take further steps after an unfinished training; keep their result if it is nearer to its optimum."""
     log.info("the training has not reached its optimum: at most %d further steps", FURTHER)
     before = parameters_to_vector(dynamics.parameters())
     again = _concluded(dynamics, train, held_out, FURTHER, robust)
