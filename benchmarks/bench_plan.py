@@ -20,6 +20,7 @@ import numpy as np
 import torch
 
 import ahnn
+from ahnn.data.files.object_name import ObjectName
 from ahnn.data.starts import Starts
 from ahnn.jobs.planning import candidates, stations_of
 from ahnn.prediction.measurement_plan import evenly_spaced, plan_measurements, variance_with
@@ -60,7 +61,7 @@ def drawn(run: ahnn.Run, stations: str, seed: int, count: int) -> tuple[float, f
     times = torch.cat((grid, torch.tensor([5 * DAY], dtype=torch.float64)))
     known = run.knowledge(torch.tensor(SD).double().square().diag())
     states, factors = prediction_factors(run.dynamics, start, times, run.dt, known)
-    begin = Starts(("0",), start.unsqueeze(0), torch.zeros(1, dtype=torch.float64))
+    begin = Starts((ObjectName("0"),), start.unsqueeze(0), torch.zeros(1, dtype=torch.float64))
     sensors = stations_of(stations, begin, run)
     rows = [one.rows for one in candidates(sensors, states[:-1], factors[:-1], grid, SESSION)]
     moved = factors[-1, :3]

@@ -14,6 +14,7 @@ from cases import MODEL, SPACE, SPRING, make_results, scores
 from ahnn import labels
 from ahnn.assimilation.assimilation_record import write_ephemeris
 from ahnn.assimilation.stream_figures import deviations
+from ahnn.data.files.object_name import numbered
 from ahnn.data.files.source import Files
 from ahnn.data.reference import Reference
 from ahnn.data.starts import Starts, starts
@@ -83,7 +84,10 @@ def test_no_door_calls_them_velocities_nor_divides_them():
     results = make_results(Row(MODEL, scores(1.0, 2.0)), space=ARMS)
     case = SimpleNamespace(space=ARMS)
     states = torch.arange(24, dtype=torch.float64).reshape(1, 6, 4)
-    prediction, begin = Prediction(torch.arange(6.0), states), Starts(("1",), states[:, 0], torch.zeros(1))
+    prediction, begin = (
+        Prediction(torch.arange(6.0), states),
+        Starts(numbered(1), states[:, 0], torch.zeros(1)),
+    )
     table = columns(prediction, begin, ARMS)
     record = SimpleNamespace(time=np.arange(3.0), covariance=np.tile(np.eye(4), (3, 1, 1)))
     panels = [SimpleNamespace(set_ylabel=lambda text: said.append(text)) for _ in range(2)]

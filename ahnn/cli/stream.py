@@ -27,6 +27,7 @@ from ahnn.cli.stream_gate import AskedGate, with_gate
 from ahnn.cli.unused_keys import refuse, unread_online
 from ahnn.data import SplitData
 from ahnn.data.files.frame_names import known
+from ahnn.data.files.object_name import ObjectName
 from ahnn.data.reference import Reference
 from ahnn.data.starts import Starts, of_one_state, starts
 from ahnn.errors import UserError
@@ -248,12 +249,12 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
         filtering = Catalogue(process, sensors, belief, names, times=times, **limits)
         filtering.begun |= {} if asked.shard is None else {"shard": asked.shard}
     far = None if run.domain is None else run.novelty
-    objects = {} if asked.objects is not None and of_one_state(asked.start) else found.objects()
+    objects = {} if asked.objects is not None and of_one_state(asked.start) else found.known()
     if asked.object is not None:
-        objects = {next(iter(objects), asked.object): asked.object}
-    designators = dict(zip(found.names, found.designators, strict=False))
+        one = next(iter(objects.values()), ObjectName(asked.object))
+        objects = {one.id: one._replace(name=asked.object)}
     about = asked, run.space, filtering, clock, reference, objects, control_names(run), None, line, far
-    return Stream(*about, designators)
+    return Stream(*about)
 
 
 def carrier(run: Run) -> Callable[[Tensor, Tensor, Tensor], Tensor]:

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from ahnn.data.files import units
 from ahnn.data.files.epochs import SECOND
+from ahnn.data.files.object_name import ObjectName, numbered
 from ahnn.data.reference import Reference
 
 UNKNOWN = "UNKNOWN"
@@ -18,32 +19,31 @@ class Starts(NamedTuple):
     """Initial states of predictions or assimilations.
 
     Attributes:
-        names: names of the trajectories; of satellites, their identifiers, such as 2009-012A.
+        objects: names of the objects.
         states: (B, D) states in the units of the space.
         times: (B,) times of the states, in its unit of time.
         reference: reference of positions and times, if specified by the file.
         covariances: (B, D, D) covariances, or None if unknown.
         since: times (B,) and states (B, D) to which the covariances belong, if they are earlier ones; None if
             the covariances belong to `states`.
-        titles: names of the objects besides their identifiers, "" where there is none; empty without any.
-        designators: their international designators, such as 2014-069A; likewise.
     """
 
-    names: tuple[str, ...]
+    objects: tuple[ObjectName, ...]
     states: Tensor
     times: Tensor
     reference: Reference = Reference()
     covariances: Tensor | None = None
     since: tuple[Tensor, Tensor] | None = None
-    titles: tuple[str, ...] = ()
-    designators: tuple[str, ...] = ()
 
-    def objects(self) -> dict[str, str]:
-        """Return the name of each object by its identifier; empty if trajectories are only numbered."""
-        if self.names == numbered(len(self.names)) and not any(self.titles):
-            return {}
-        pairs = zip(self.names, self.titles or self.names, strict=True)
-        return {name: title or name for name, title in pairs}
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Identifiers of the objects."""
+        return tuple(one.id for one in self.objects)
+
+    def known(self) -> dict[str, ObjectName]:
+        """Return the objects by their identifiers; empty if they are only numbered."""
+        numbers = self.objects == numbered(len(self.objects))
+        return {} if numbers else {one.id: one for one in self.objects}
 
     def first_time(self, unit: str) -> str:
         """Return the time of the first state in words: its epoch, or a number in a unit of time."""
@@ -51,8 +51,3 @@ class Starts(NamedTuple):
         if reference.epoch is None:
             return f"t = {time:g} {unit}"
         return reference.spelled(round(time * units.unit(unit).size * SECOND))
-
-
-def numbered(count: int) -> tuple[str, ...]:
-    """Return names numbered from 1."""
-    return tuple(str(k + 1) for k in range(count))

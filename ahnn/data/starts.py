@@ -18,12 +18,13 @@ from ahnn.data.estimate_table import components_with_units, is_track, last_estim
 from ahnn.data.files import Files, instant, units
 from ahnn.data.files.epochs import SECOND
 from ahnn.data.files.kinds import holds_mean_elements, kind_of
+from ahnn.data.files.object_name import ObjectName, numbered
 from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.files.source import StartFiles
 from ahnn.data.reference import Reference
 from ahnn.data.start_covariances import covariances_of
 from ahnn.data.start_frames import matrices_to
-from ahnn.data.start_states import Starts, numbered
+from ahnn.data.start_states import Starts
 from ahnn.data.table_covariances import KINDS, table_covariances
 from ahnn.deviations import require_finite, state_deviations
 from ahnn.errors import UserError
@@ -179,11 +180,11 @@ def of_plain(path: Path, space: Space) -> Starts:
 def of_track(path: Path, space: Space) -> Starts:
     """Read the last estimate of each object in an assimilation's output; raises UserError."""
     found = last_estimates(path, space)
-    names = found.names or (tuple(found.objects) if len(found.objects) == 1 else numbered(1))
+    names = found.names or (tuple(found.objects) if len(found.objects) == 1 else ())
     require_finite(found.means)
-    titles = tuple(found.objects.get(name, "") for name in names)
-    start = Starts(names, found.means, found.times, found.reference, found.covariances, titles=titles)
-    several = f" of each of {len(names)} objects" if len(names) > 1 else ""
+    objects = tuple(ObjectName(name, found.objects.get(name, "")) for name in names) or numbered(1)
+    start = Starts(objects, found.means, found.times, found.reference, found.covariances)
+    several = f" of each of {len(objects)} objects" if len(objects) > 1 else ""
     log.info("start %s: the last estimate%s, %s", path, several, start.first_time(space.units.time))
     return start
 
@@ -206,11 +207,15 @@ def of_files(path: Path, space: Space, *, last: bool, weighed: bool) -> Starts:
     columns = times.isfinite().sum(1) - 1 if last else torch.zeros_like(rows)
     chosen, moments = states[rows, columns], times[rows, columns]
     require_finite(chosen)
-    names = files.names if all(files.names) else numbered(len(states))
-    found = Starts(names, chosen, moments, reference, titles=files.titles, designators=files.designators)
+    objects = files.objects
+    if not all(files.names):
+        objects = tuple(
+            one._replace(id=number.id) for one, number in zip(objects, numbered(len(objects)), strict=True)
+        )
+    found = Starts(objects, chosen, moments, reference)
     if second is None and (count := times.shape[1]) > 1:
         which, at = "last" if last else "first", found.first_time(space.units.time)
-        whose = f"of {count} states" if len(names) == 1 else f"state of each of {len(names)} trajectories"
+        whose = f"of {count} states" if len(objects) == 1 else f"state of each of {len(objects)} trajectories"
         log.info("start %s: the %s %s, %s", path, which, whose, at)
     own = files.trajectories.times[rows, columns]
     if weighed and (matrices := table_covariances(path, kind, own, weighed=True)) is not None:

@@ -18,6 +18,7 @@ from ahnn.assimilation.session import Session, Watcher
 from ahnn.assimilation.stream_figures import figures_of
 from ahnn.assimilation.view import View, said
 from ahnn.data.estimate_table import described, track_names
+from ahnn.data.files.object_name import ObjectName
 from ahnn.data.start_states import UNKNOWN
 from ahnn.evaluation.sinks.figure_files import FORMATS, drawn
 from ahnn.files import write_atomically
@@ -48,7 +49,8 @@ def assimilate(stream: Stream) -> None:
     source = opened(options.measurements, state) if followed is None else BytesIO(followed.content)
     with closing(Lines(source)) as lines:
         kind = options.format or ("json" if Path(options.output).suffix in (".json", ".jsonl") else "csv")
-        beside = described(space, stream.reference, stream.objects)
+        names = {name: one.spoken for name, one in stream.objects.items()}
+        beside = described(space, stream.reference, names)
         more = {"modes": len(filtering.modes), "lag": options.lag is not None, "scales": space.scales}
         more["clock"] = stream.clock
         rows = Rows(track_names(space), filtering.sensors, kind, beside, **more)
@@ -118,6 +120,6 @@ def _pictures(stream: Stream) -> None:
             for suffix in FORMATS:
                 write_atomically(Path(options.figures) / f"{name}{suffix}", drawn(figure, suffix))
     if options.oem:
-        ((one, name),) = (stream.objects or {UNKNOWN: UNKNOWN}).items()
-        one = stream.designators.get(one) or one
-        write_ephemeris(Path(options.oem), record, space, name, stream.reference, one)
+        one = next(iter(stream.objects.values()), ObjectName(UNKNOWN))
+        ident = one.designator or one.id
+        write_ephemeris(Path(options.oem), record, space, one.spoken, stream.reference, ident)

@@ -20,6 +20,7 @@ from ahnn.assimilation.parquet_stream import ParquetRows
 from ahnn.assimilation.stream_tally import StreamTally
 from ahnn.assimilation.view import said
 from ahnn.data.estimate_table import OBJECT, described, track_names
+from ahnn.data.files.object_name import ObjectName, names_by_id
 from ahnn.data.starts import Starts
 from ahnn.jobs.assimilation_request import AssimilationRequest, Stream, opened
 from ahnn.prediction import output
@@ -91,8 +92,7 @@ def follow_objects(stream: Stream, catalogue: Catalogue, *, judged: bool = True)
 def rows_of(stream: Stream, catalogue: Catalogue) -> CatalogueRows:
     """Return the formatter of a stream's estimates."""
     space, kind = stream.space, _kind(stream.asked)
-    named = {name: title for name, title in stream.objects.items() if title != name}
-    table = described(space, stream.reference, named)
+    table = described(space, stream.reference, names_by_id(stream.objects.values()))
     beside = table._replace(columns={**table.columns, "id": OBJECT})
     names, clock = track_names(space), stream.clock
     return CatalogueRows(names, catalogue.sensors, kind, beside, scales=space.scales, clock=clock)
@@ -135,11 +135,8 @@ def _of_novelty(stream: Stream, last: Starts) -> list[str]:
 def _last(stream: Stream, catalogue: Catalogue) -> Starts:
     """Return the final states of the objects, as starts for predictions."""
     times, beliefs = catalogue.beliefs()
-    names, moments = tuple(catalogue.names), torch.from_numpy(times)
-    titles = tuple(stream.objects.get(name, "") for name in names)
-    designators = tuple(stream.designators.get(name, "") for name in names)
-    about = names, beliefs.mean, moments, stream.reference, beliefs.covariance, None
-    return Starts(*about, titles, designators)
+    objects = tuple(stream.objects.get(name, ObjectName(name)) for name in catalogue.names)
+    return Starts(objects, beliefs.mean, torch.from_numpy(times), stream.reference, beliefs.covariance)
 
 
 def _lines(path: str, state: Path | None) -> Lines | ParquetRows:

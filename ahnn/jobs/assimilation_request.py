@@ -16,6 +16,7 @@ from ahnn.assimilation.journal import Journal
 from ahnn.assimilation.output_rows import require_new
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.assimilation.stream_figures import NAMES
+from ahnn.data.files.object_name import ObjectName
 from ahnn.data.reference import Reference
 from ahnn.errors import UserError
 from ahnn.evaluation.sinks.figure_files import FORMATS
@@ -70,12 +71,11 @@ class Stream(NamedTuple):
         filtering: filter of one object, or filters of many.
         clock: interpretation of times.
         reference: reference of the estimates.
-        objects: names of the tracked objects by their identifiers, as far as known.
+        objects: tracked objects by their identifiers, as far as known.
         controls: names of the model's controls.
         followed: measurements of an orbit determination, used instead of lines.
         fitted: number of the last line to which the start was fitted.
         novelty: distance of states from the training data, 1 at their edge; None if unknown.
-        designators: international designators of the objects by their identifiers, for messages.
     """
 
     asked: AssimilationRequest
@@ -83,12 +83,11 @@ class Stream(NamedTuple):
     filtering: Assimilation | Catalogue
     clock: StreamClock
     reference: Reference
-    objects: dict[str, str]
+    objects: dict[str, ObjectName]
     controls: tuple[str, ...] = ()
     followed: FollowedMeasurements | None = None
     fitted: int = 0
     novelty: Callable[[Tensor], Tensor] | None = None
-    designators: dict[str, str] = {}  # noqa: RUF012 - never written to
 
 
 def require_places(options: AssimilationRequest) -> None:

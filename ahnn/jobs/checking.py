@@ -17,7 +17,7 @@ from ahnn.evaluation.terminal import show
 from ahnn.files import require_writable
 from ahnn.jobs.tracking_checking import tracking_check
 
-PROPAGATED = {"step": 60.0, "duration": 86400.0}
+PROPAGATED: dict[str, Any] = {"step": 60.0, "duration": 86400.0}
 """Default sampling of the orbits of element sets, in seconds."""
 
 

@@ -21,7 +21,8 @@ from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.skipped_lines import SkippedLines
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.data.estimate_table import track_names
-from ahnn.data.start_states import Starts, numbered
+from ahnn.data.files.object_name import numbered
+from ahnn.data.start_states import Starts
 from ahnn.dynamics import has_field
 from ahnn.dynamics.variations import jacobians_of_steps
 from ahnn.errors import TrainingError, UserError

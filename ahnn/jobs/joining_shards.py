@@ -77,13 +77,10 @@ def join(
 
 def together(parts: Sequence[Starts], order: dict[str, int]) -> Starts:
     """Return the states of all parts, sorted by the given order of names; unknown names come last."""
-    names = [name for part in parts for name in part.names]
-    rows = sorted(range(len(names)), key=lambda k: order.get(names[k], len(order)))
+    objects = [one for part in parts for one in part.objects]
+    rows = sorted(range(len(objects)), key=lambda k: order.get(objects[k].id, len(order)))
     states = torch.cat([part.states for part in parts])[rows]
     times = torch.cat([part.times for part in parts])[rows]
     covariances = torch.cat([part.covariances for part in parts if part.covariances is not None])[rows]
-    titles = [title for part in parts for title in part.titles or ("",) * len(part.names)]
-    designators = [one for part in parts for one in part.designators or ("",) * len(part.names)]
-    chosen = (tuple(part[k] for k in rows) for part in (names, titles, designators))
-    named, *about = chosen
-    return Starts(named, states, times, parts[0].reference, covariances, None, *about)
+    chosen = tuple(objects[k] for k in rows)
+    return Starts(chosen, states, times, parts[0].reference, covariances)

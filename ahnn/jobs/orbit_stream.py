@@ -16,6 +16,7 @@ from ahnn.assimilation import Assimilation, StreamSensor
 from ahnn.assimilation.start import begin, belief_of
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.data.files import epochs
+from ahnn.data.files.object_name import ObjectName
 from ahnn.data.reference import Reference
 from ahnn.data.starts import starts
 from ahnn.deviations import state_deviations
@@ -96,7 +97,7 @@ def orbit_stream(asked: AssimilationRequest, orbit: OrbitFollowing) -> Stream:
     )
     reference = Reference("GCRF", "EARTH", "UTC", data.epoch)
     name = data.object or asked.object or "SATELLITE"
-    objects = {name: asked.object or name}
+    objects = {name: ObjectName(name, asked.object or "")}
     clock = StreamClock("s", data.epoch, "UTC")
     return Stream(asked, SPACE, filtering, clock, reference, objects, followed=followed)
 

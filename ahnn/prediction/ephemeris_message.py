@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 
 from ahnn.data.files import Covariance, Ephemeris
+from ahnn.data.files.object_name import ObjectName
 from ahnn.data.files.units import LENGTH, TIME, unit
 from ahnn.data.reference import Reference
 from ahnn.data.start_states import UNKNOWN, Starts
@@ -57,15 +58,15 @@ def ephemerides(prediction: Prediction, starts: Starts, space: Space) -> list[Ep
     scale = torch.tensor([km] * 3 + [speed] * 3, dtype=torch.float64)
     times = (prediction.times * second.size).numpy()
     matrices, segments = prediction.covariances, []
-    unnamed = len(starts.names) == 1 and not starts.objects()
-    for b, name in enumerate((UNKNOWN,) if unnamed else starts.names):
+    unnamed = len(starts.objects) == 1 and not starts.known()
+    for b, one in enumerate((ObjectName(UNKNOWN),) if unnamed else starts.objects):
         begin = epoch + picoseconds(float(starts.times[b]) + float(prediction.times[0]), space.units.time)
         known = () if matrices is None else (matrices[b] * scale * scale.unsqueeze(1)).numpy()
         since = times - times[0]
         segments.append(
             Ephemeris(
-                object_id=_plain((starts.designators[b] if starts.designators else "") or name),
-                object_name=_plain(starts.titles[b] if starts.titles else ""),
+                object_id=_plain(one.designator or one.id),
+                object_name=_plain(one.name),
                 center=center,
                 frame=frame,
                 time_system=clock,

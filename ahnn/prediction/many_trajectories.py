@@ -57,16 +57,12 @@ def finite_prediction(prediction: Prediction, starts: Starts, unit: str) -> tupl
             "%d more of %d trajectories are left out for the same reason", len(lost) - NAMED, len(wrong)
         )
     rest = [None if part is None else part[sound] for part in prediction[1:]]
-    about = starts.names, starts.titles, starts.designators
-    names, titles, designators = (tuple(compress(part, sound.tolist())) for part in about)
     known = None if starts.covariances is None else starts.covariances[sound]
     kept = starts._replace(
-        names=names,
+        objects=tuple(compress(starts.objects, sound.tolist())),
         states=starts.states[sound],
         times=starts.times[sound],
         covariances=known,
         since=None,
-        titles=titles,
-        designators=designators,
     )
     return Prediction(prediction.times, *rest), kept  # pyright: ignore[reportArgumentType]

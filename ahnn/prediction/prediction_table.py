@@ -9,6 +9,7 @@ import numpy as np
 
 from ahnn.data.files import epochs
 from ahnn.data.files.columns import COVARIANCES
+from ahnn.data.files.object_name import names_by_id
 from ahnn.data.files.sidecar import Sidecar
 from ahnn.data.files.units import product
 from ahnn.data.starts import Starts
@@ -67,8 +68,7 @@ def described(starts: Starts, space: Space) -> Sidecar:
     time = "t" if reference.epoch is None else "epoch"
     columns = {"time": time, "id": "id", "positions": names, **rates}
     units = {} if reference.epoch is None else {"epoch": reference.clock or "UTC"}
-    named = {name: title for name, title in starts.objects().items() if title != name}
-    return Sidecar(units, columns, str(reference._replace(epoch=None)), objects=named)
+    return Sidecar(units, columns, str(reference._replace(epoch=None)), objects=names_by_id(starts.objects))
 
 
 def labels(space: Space) -> list[str]:

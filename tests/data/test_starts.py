@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from ahnn.data.files import Covariance, Ephemeris, Files, instant, write_oem
+from ahnn.data.files.object_name import numbered
 from ahnn.data.reference import Reference
 from ahnn.data.starts import Starts, referred, starts
 from ahnn.errors import UserError
@@ -111,10 +112,10 @@ def test_the_latest_covariance_up_to_a_state_stands_for_it(tmp_path):
 def test_an_epoch_of_a_file_comes_before_that_of_a_model():
     ours = Reference("EME2000", "EARTH", "TAI", NOON)
     state = torch.zeros(1, 2)
-    kept = referred(Starts(("1",), state, state[:, 0]), ours)
+    kept = referred(Starts(numbered(1), state, state[:, 0]), ours)
     assert kept.reference == ours
     own = Reference("", "EARTH", "UTC", NOON + 5)
-    assert referred(Starts(("1",), state, state[:, 0], own), ours).reference == ours._replace(
+    assert referred(Starts(numbered(1), state, state[:, 0], own), ours).reference == ours._replace(
         epoch=own.on("TAI").epoch
     )
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from ahnn.data.files.content import Content
 from ahnn.data.files.frame_names import ROTATING
+from ahnn.data.files.object_name import ObjectName
 from ahnn.data.files.samples import Track, cut, filled, stacked, trimmed
 from ahnn.data.files.table import Place
 from ahnn.errors import UserError
@@ -34,9 +35,7 @@ class Recordings(ABC):
     Attributes:
         positions_only: whether only positions were recorded.
         trajectories: recorded trajectories, NaN where missing.
-        names: names of the trajectories.
-        titles: names of their objects besides these identifiers, "" where there is none.
-        designators: international designators of these objects, "" where there is none.
+        objects: objects of the trajectories; the identifier of an unnamed one is "".
 
     Raises:
         UserError: a trajectory without a complete sample, or with too long a gap.
@@ -64,6 +63,11 @@ class Recordings(ABC):
         self.mass, self.cut, self.gap, self.unsound = mass, cut, gap, unsound
         self.trajectories = self._trajectories(contents)
         self._contents = contents
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the trajectories."""
+        return tuple(one.id for one in self.objects)
 
     def check(self) -> None:
         """Raise UserError for data that would spoil the training, unless `unsound` is set.
@@ -113,9 +117,7 @@ class Recordings(ABC):
         if not contents[0].momenta:
             factor[dof:] = self.space.inertia
         whole = [part._replace(values=widened(part, dof) * factor) for part in parts]
-        self.names = tuple(part.name for part in parts)
-        self.titles = tuple(part.title for part in parts)
-        self.designators = tuple(part.designator for part in parts)
+        self.objects = tuple(ObjectName(part.name, part.title, part.designator) for part in parts)
         log.info("%s: %s", self.space.name, described(self.space, parts, contents[0]))
         return stacked(whole, linear=linear)
 
