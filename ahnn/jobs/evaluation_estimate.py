@@ -12,14 +12,14 @@ from ahnn.clock import Clock, extended
 from ahnn.jobs.prepared import Prepared
 from ahnn.rollouts import clock_of
 from ahnn.systems import exact_flow
-from ahnn.training.runtime_estimate import shooting_seconds
+from ahnn.training.runtime_estimate import shooting_seconds, work
 from ahnn.types import Flow
 
 TIMED = 5
 """Number of timed steps."""
 FILTERED = 3.7
 """Measured cost of a filter evaluation (seven runs, one degree of freedom), in units of a prediction."""
-TESTS = 9.3
+TESTS = 4.5
 """Measured cost of tests on unseen measurements, in units of a fit of untrained dynamics to them."""
 FIGURES = 3.0
 """Time for figures in seconds."""
@@ -45,7 +45,7 @@ def evaluation_seconds(prepared: Prepared) -> float:
     more = sum(cost(samples) for cost in costs if cost is not None)
     seconds += samples * each * (1 + FILTERED * filters + more)
     if data.stages is not None:
-        seconds += TESTS * shooting_seconds(prepared.model, data) * data.measured("test").times.numel()
+        seconds += TESTS * shooting_seconds(prepared.model, data) * work(data.measured("test").times)
     return seconds
 
 

@@ -18,7 +18,6 @@ from ahnn.data.segments import Segments
 from ahnn.shooting.robust import ROBUST
 from ahnn.training.maximum_posterior import WideProblem
 from ahnn.training.objectives import Objective
-from ahnn.training.shooting import Shooting
 
 TRIALS = 3
 """Maximum number of timed steps."""
@@ -28,8 +27,10 @@ LONG, SHARES = 0.5, (1 / 8, 1 / 4)
 """Seconds of a step on the first of these fractions of a batch above which whole batches are not timed."""
 REFITTED = 0.5
 """Relative cost of a step that starts from previously fitted initial states."""
-FUNCTIONS = 1.7
-"""Measured cost of function-space steps and covariance, in units of a fit to all measurements."""
+CLOSING = 4.5
+"""Measured cost of the closing stage without parameter steps, in units of normal equations of all measurements."""
+ROWS = 100
+"""Number of segments that together cost as much as the fixed part of a time step."""
 STRETCHES, STRETCH = 300, 64
 """Maximum number of segments on which final steps are timed, and of their measurement intervals."""
 
@@ -60,20 +61,24 @@ def expected_seconds(
 
 
 def _on_measurements(model: Any, data: WindowDataModule, per_epoch: int, epochs: range) -> float:
-    """Return the time of steps, validations and final steps, in proportion to their measurements.
+    """Return the time of steps, validations and the closing stage, in proportion to their work.
 
     The first stage is timed, since over long segments paths of untrained dynamics are abandoned early.
     """
-    objective, closing = model.curriculum.at(0, epochs.stop), model.curriculum.closing
-    each = step_seconds(model, data, objective) / next(iter(data.train_dataloader())).times.numel()
-    last = each * (1 + REFITTED * closing + FUNCTIONS)
-    if not isinstance(objective, Shooting):  # after the weak form, initial states are fitted quickly
-        last = shooting_seconds(model, data) * (REFITTED * (closing + 1) + FUNCTIONS)
-    return last * data.measured("train").times.numel() + each * sum(amounts(data, per_epoch, epochs))
+    objective = model.curriculum.at(0, epochs.stop)
+    each = step_seconds(model, data, objective) / work(next(iter(data.train_dataloader())).times)
+    last = shooting_seconds(model, data) * (CLOSING + REFITTED * model.curriculum.closing)
+    return last * work(data.measured("train").times) + each * sum(amounts(data, per_epoch, epochs))
+
+
+def work(times: torch.Tensor) -> float:
+    """Return the work of a batch of segments with these times (B, T), in steps of one segment."""
+    rows, samples = times.shape
+    return float(samples * (rows + ROWS))
 
 
 def shooting_seconds(model: Any, data: WindowDataModule) -> float:
-    """Return the duration of shooting fits and equations per measurement time.
+    """Return the duration of shooting fits and normal equations per unit of `work`.
 
     It is timed on the first intervals of trajectories, since untrained dynamics soon diverge.
     """
@@ -85,18 +90,18 @@ def shooting_seconds(model: Any, data: WindowDataModule) -> float:
     theta, sizes = parameters_to_vector(parameters).detach(), [p.numel() for p in parameters]
     equations = lambda: WideProblem(dynamics, batch, ROBUST["none"]).equations(theta, sizes)  # noqa: E731
     with torch.no_grad():
-        return _median(equations) / batch.times.numel()
+        return _median(equations) / work(batch.times)
 
 
-def amounts(data: WindowDataModule, per_epoch: int, epochs: range) -> list[int]:
-    """Return the work per epoch, including validation: number of measurement times, or 1 without stages."""
+def amounts(data: WindowDataModule, per_epoch: int, epochs: range) -> list[float]:
+    """Return the work per epoch, including validation; 1 without stages."""
     if getattr(data, "stages", None) is None:
-        return [1] * len(epochs)
+        return [1.0] * len(epochs)
     loader, found = data.train_dataloader(), []
-    validation = next(iter(data.val_dataloader())).times.numel()
+    validation = REFITTED * work(next(iter(data.val_dataloader())).times)
     for epoch in epochs:
         loader.set_epoch(epoch)
-        found.append(validation + per_epoch * next(iter(loader)).times.numel())
+        found.append(validation + per_epoch * work(next(iter(loader)).times))
     return found
 
 

@@ -15,19 +15,19 @@ from ahnn.training.weak import Weak
 
 
 class Batches:
-    """Batches of 10 measurements, in the second epoch of 40."""
+    """Batches of 200 segments of 5 times, from the second epoch on of 50 segments of 20."""
 
-    size = 10
+    shape = 200, 5
 
     def set_epoch(self, epoch):
-        self.size = 10 if epoch < 1 else 40
+        self.shape = (200, 5) if epoch < 1 else (50, 20)
 
     def __iter__(self):
-        yield SimpleNamespace(times=torch.zeros(self.size))
+        yield SimpleNamespace(times=torch.zeros(self.shape))
 
 
 class Data:
-    """Measurements: 1,000 of the training, 200 of a validation."""
+    """Measurements: 100 trajectories of 10 times for the training, 20 for a validation."""
 
     stages = object()
 
@@ -35,11 +35,11 @@ class Data:
         return Batches()
 
     def val_dataloader(self):
-        return [SimpleNamespace(times=torch.zeros(200))]
+        return [SimpleNamespace(times=torch.zeros(20, 10))]
 
     def measured(self, split):
         assert split == "train"
-        return SimpleNamespace(times=torch.zeros(1000))
+        return SimpleNamespace(times=torch.zeros(100, 10))
 
 
 class FourBatches:
@@ -57,22 +57,25 @@ class FourBatches:
 
 @pytest.mark.parametrize(
     ("first", "closing", "last"),
-    [(Shooting(4), 0, 270), (Shooting(4), 3, 420), (Weak(), 0, 1540), (Weak(), 3, 2590)],
+    [(Shooting(4), 0, 4.5), (Weak(), 3, 6.0)],
 )
 def test_last_steps_and_the_covariance_count_by_all_measurements(first, closing, last, monkeypatch):
-    """A step of 10 takes 1 s; a pass of shooting over all follows, then halves where starts fit soon."""
+    """A step of 200 segments takes 1 s, one of 50 longer ones 2 s; a fit to all measurements 1.4 s."""
     monkeypatch.setattr(runtime_estimate, "step_seconds", lambda *_: 1.0)
-    monkeypatch.setattr(runtime_estimate, "shooting_seconds", lambda *_: 0.7)
+    monkeypatch.setattr(runtime_estimate, "shooting_seconds", lambda *_: 7e-4)
     at = lambda epoch, epochs: first if (epoch, epochs) == (0, 2) else None  # noqa: E731
     curriculum = SimpleNamespace(at=at, closing=closing)
     model, trainer = SimpleNamespace(curriculum=curriculum), SimpleNamespace(callbacks=[])
     seconds = runtime_estimate.expected_seconds(trainer, Data(), model, 3, range(2))  # pyright: ignore
-    assert seconds == pytest.approx(3 + 12 + 2 * 20 + last)
+    validation = 0.5 * 10 * (20 + 100) / (5 * (200 + 100))
+    assert seconds == pytest.approx(3 + 3 * 2 + 2 * validation + 1.4 * last)
 
 
 def test_epochs_count_by_what_they_work_through():
-    """Three steps of 10 or 40 measurements, and a validation of 200; windows of states are alike."""
-    assert runtime_estimate.amounts(Data(), 3, range(3)) == [230, 320, 320]  # pyright: ignore
+    """Three steps and a validation in steps of a segment; the fixed part of each counts as 100 segments."""
+    validation = 0.5 * 10 * 120
+    expected = [3 * 5 * 300 + validation, *[3 * 20 * 150 + validation] * 2]
+    assert runtime_estimate.amounts(Data(), 3, range(3)) == expected  # pyright: ignore
     assert runtime_estimate.amounts(SimpleNamespace(stages=None), 3, range(3)) == [1, 1, 1]  # pyright: ignore
 
 
@@ -124,7 +127,7 @@ def test_a_validation_takes_as_long_as_its_first_batch_for_each_of_them(monkeypa
 
 @pytest.mark.parametrize(("rows", "samples"), [(4, 20), (320, 80)])
 def test_last_steps_are_timed_on_the_beginnings_of_some_trajectories(rows, samples, monkeypatch):
-    """By each measured time; the rows and intervals of the beginnings are bounded."""
+    """By their work; the rows and intervals of the beginnings are bounded."""
     seen = []
     equations = SimpleNamespace(equations=lambda theta, sizes: seen.append((theta.tolist(), sizes)))
     monkeypatch.setattr(runtime_estimate, "_median", lambda work, *_: work() or 6.0)
@@ -137,11 +140,12 @@ def test_last_steps_are_timed_on_the_beginnings_of_some_trajectories(rows, sampl
         instrument=Instrument(Position(1), torch.ones(1), 1.0, 1, 1.0),
     )
     model = SimpleNamespace(dynamics=Swing(2.5, 0.5))
-    count = min(rows, runtime_estimate.STRETCHES) * min(samples, runtime_estimate.STRETCH + 1)
-    assert runtime_estimate.shooting_seconds(model, data) == pytest.approx(6.0 / count, rel=1e-12)  # pyright: ignore
+    shape = min(rows, runtime_estimate.STRETCHES), min(samples, runtime_estimate.STRETCH + 1)
+    seconds = runtime_estimate.shooting_seconds(model, data)  # pyright: ignore
+    assert seconds == pytest.approx(6.0 / (shape[1] * (shape[0] + 100)), rel=1e-12)
     batch, asked = seen
     assert batch.values.shape == (*batch.times.shape, 1)
-    assert batch.times.numel() == count
+    assert batch.times.shape == shape
     assert asked == ([2.5, 0.5], [2])
 
 

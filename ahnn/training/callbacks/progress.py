@@ -30,7 +30,7 @@ class TrainingProgress(ProgressBar):
         self._due = 0.0
         self._began = 0.0
         self._first = 0
-        self._amounts: list[int] = []
+        self._amounts: list[float] = []
         self._shown = True
 
     def disable(self) -> None:
