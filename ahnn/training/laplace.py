@@ -24,8 +24,9 @@ import torch
 from torch import Tensor
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
+from ahnn.data.segments import Segments
 from ahnn.dynamics import Dynamics
-from ahnn.measurements import Segment
+from ahnn.measurements import Observations, Segment
 from ahnn.progress import counted
 from ahnn.shooting.robust import RobustName, loss_of, variance
 from ahnn.training.acceleration import accelerated
@@ -42,10 +43,15 @@ from ahnn.uncertainty import Uncertainty
 from ahnn.uncertainty.posterior import is_unfinished
 
 log = logging.getLogger("ahnn")
+SHORTEST = 4
+"""Minimum number of intervals of a segment."""
 DAMPING = 1e-6
 """Initial damping: float32 training determines directions only to a millionth of the best observable ones."""
 FURTHER = 10
-"""Maximum number of further steps if the training would otherwise end before its optimum."""
+"""Maximum number of further steps of each kind if the training would otherwise end before its optimum."""
+SHARES = (8, 4, 2)
+"""Fractions of trajectories on which they are taken first: over short segments, paths of inaccurate dynamics
+stay near the data."""
 HARDER = 10.0
 """Factor on the damping after a step beyond the linear range."""
 REFUSED = 3.0902
@@ -85,9 +91,14 @@ def conclude(
 def _continued(
     found: Uncertainty, dynamics: Dynamics, train: Segment, held_out: Segment, robust: RobustName
 ) -> Uncertainty:
-    """Take further steps after an unfinished training; keep their result if it is nearer to its optimum."""
+    """Take further steps after an unfinished training, on segments of increasing length and on trajectories.
+
+    Returns the result nearer to its optimum.
+    """
     log.info("the training has not reached its optimum: at most %d further steps", FURTHER)
     before = parameters_to_vector(dynamics.parameters())
+    for share in SHARES:
+        approached(dynamics, shortened(train, share), FURTHER, robust, enough=1.0)
     again = _concluded(dynamics, train, held_out, FURTHER, robust)
     if again is not None and again.about["remaining"] < found.about["remaining"]:
         return again
@@ -128,17 +139,27 @@ def with_biases(found: Uncertainty, problem: WideProblem) -> Uncertainty:
     return replace(found, about=found.about | biases)
 
 
+def shortened(whole: Segment, share: int) -> Segment:
+    """Return segments of a fraction of the length that together contain about all measurements."""
+    intervals = max(whole.times.shape[1] // share, SHORTEST)
+    segments = Segments(Observations(whole.values, whole.times), intervals, whole.instrument)
+    return segments.gather(torch.arange(0, len(segments), max(len(segments) // segments.covering, 1)))
+
+
 def approached(
-    dynamics: Dynamics, train: Segment, steps: int, robust: RobustName
+    dynamics: Dynamics, train: Segment, steps: int, robust: RobustName, enough: float = ARRIVED
 ) -> tuple[WideProblem, PosteriorPoint | None, float]:
-    """Take parameter steps; return the final problem and point, and the last decrease."""
+    """Take parameter steps; return the final problem and point, and the last decrease.
+
+    The steps end when the remaining one, or the last decrease, is `enough` relative to the noise.
+    """
     parameters = list(dynamics.parameters())
     sizes = [p.numel() for p in parameters]
     problem = whole_problem(dynamics, train, loss_of(robust, train.instrument.freedom))
     here = place(problem, parameters_to_vector(parameters), sizes)
     damping, gained = DAMPING, float("inf")
     for _ in counted(steps, "step"):
-        if here is None or min(here.remaining, gained) <= ARRIVED * here.determined:
+        if here is None or min(here.remaining, gained) <= enough * here.determined:
             break
         theta, damping, decrease = lower(problem, here, damping)
         if theta is None:

@@ -28,7 +28,7 @@ LONG, SHARES = 0.5, (1 / 8, 1 / 4)
 REFITTED = 0.5
 """Relative cost of a step that starts from previously fitted initial states."""
 CLOSING = 4.5
-"""Measured cost of the closing stage without parameter steps, in units of normal equations of all measurements."""
+"""Measured cost of the closing stage without parameter steps, in units of one set of normal equations."""
 ROWS = 100
 """Number of segments that together cost as much as the fixed part of a time step."""
 STRETCHES, STRETCH = 300, 64

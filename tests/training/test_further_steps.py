@@ -37,3 +37,15 @@ def test_further_steps_that_do_not_help_are_undone(monkeypatch):
     found = conclude(early, batch, other, 0)
     assert torch.equal(flat(early), before)
     assert found.about["remaining"] > found.about["determined"]
+
+
+def test_segments_of_a_fraction_of_the_length_hold_about_all_measurements():
+    batch = batch_of(0, rows=12)
+    for share in (2, 4, 8):
+        parts = laplace.shortened(batch, share)
+        assert parts.times.shape[1] - 1 == max(21 // share, 4)
+        assert 0.7 * batch.measured.sum() < parts.measured.sum() < 1.5 * batch.measured.sum()
+        windows = batch.times.unfold(1, parts.times.shape[1], 1).flatten(0, 1)
+        same = (windows[:, None] - parts.times).abs().amax(-1) == 0
+        assert bool(same.any(0).all())
+        assert int(same.any(1).sum()) == len(parts.times)  # no segment twice
