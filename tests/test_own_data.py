@@ -136,7 +136,7 @@ def test_a_model_of_recorded_positions_filters_as_well_as_its_covariance_says(tm
     assert call("ahnn.assimilate", run, *off, "plugins=ukf_parameter_error", "output=-") == 0
     mean = float(caplog.messages[-1].split()[5].strip(";"))
     assert 6.0 < mean < 12.0  # measurements with three times the noise
-    said = "this one is overconfident, since process noise or measurement noise is set too small"
+    said = "this one is overconfident, since process noise or measurement noise is too small"
     assert said in caplog.messages[-1]
     silent = [text for text in stream if not text.startswith("measurement.sd")]
     lost = tmp_path / "lost.csv"

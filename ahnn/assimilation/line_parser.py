@@ -90,7 +90,7 @@ class Layout:
                 expected = f"a header with {self._expected()}, each once"
                 message = f"measurements: expected {expected}; received {first.strip()!r}"
                 raise UserError(message)
-            self._require_deviations({*self.names})
+            self._check_columns({*self.names})
 
     def reading(self, text: str) -> Reading:
         """Parse a line into a reading.
@@ -258,8 +258,8 @@ class Layout:
             self.scales[name], self.units[name] = self._scale(name.removeprefix(SD), unit), unit
         return name
 
-    def _require_deviations(self, named: set[str]) -> None:
-        """Raise UserError for a table without standard deviations."""
+    def _check_columns(self, named: set[str]) -> None:
+        """Raise UserError for a table without standard deviations; warn of missing columns."""
         for name, sensor in self.sensors.items():
             lacking = [column for column in sensor.columns if column in named and SD + column not in named]
             if sensor.deviations is None and lacking:
@@ -268,6 +268,10 @@ class Layout:
                     f"measurements: expected a column {SD}{lacking[0]}, or {key}=NUMBER; received neither"
                 )
                 raise UserError(message)
+            absent = [column for column in sensor.columns if column not in named]
+            if absent and len(absent) < len(sensor.columns):
+                whose = "" if self.only else f" of {name}"
+                log.warning("measurements: no column %s%s, so its values are missing", ", ".join(absent), whose)
 
     def _scale(self, name: str, given: str) -> float:
         """Return the unit conversion factor of a column; raises UserError for an incompatible unit."""

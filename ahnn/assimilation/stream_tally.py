@@ -18,10 +18,10 @@ MANY = 0.05
 GATED = ("taken", "reopened", "rejected")
 """Outcomes of measurements on which the gate decided."""
 OVERCONFIDENT = (
-    "this one is overconfident, since process noise or measurement noise is set too small, or outliers were "
+    "this one is overconfident, since process noise or measurement noise is too small, or outliers were "
     "accepted (gate=)"
 )
-TOO_CAUTIOUS = "this one is too cautious, since process noise or measurement noise is set too large"
+TOO_CAUTIOUS = "this one is too cautious, since process noise or measurement noise is too large"
 REMEDIES = {
     "none": "Add lines",
     "bad": "The lines above state the faults",

@@ -208,5 +208,7 @@ def choice_of(kind: type[T], values: Any, who: str) -> T:
         nested = next((one for one in inner if is_dataclass(one)), None)
         if nested is not None and not (value is None and NoneType in inner):
             made[name] = choice_of(nested, value, f"{who}.{name}".removeprefix("."))
+        elif value is None and "none" in get_args(hints.get(name)):
+            made[name] = "none"
     check_arguments(who, kind, made)
     return kind(**made)

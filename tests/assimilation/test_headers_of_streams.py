@@ -11,7 +11,7 @@ from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.assimilation.table_parser import TableParser
 from ahnn.data.files import instant
 from ahnn.errors import UserError
-from ahnn.measurements import GroundStation
+from ahnn.measurements import GroundStation, Position
 from ahnn.types import Space, Units
 
 ORBIT = Space("orbit", ("x", "y", "z", "px", "py", "pz"), Units("s", "km", "km/s", "km**2/s**2"))
@@ -62,3 +62,15 @@ def test_a_column_epoch_is_the_time_of_a_stream():
     for other in ("time", "t"):
         with pytest.raises(UserError, match=r"expected a header with time and .*, each once"):
             Layout(f"epoch,{other},range", {"kiruna": STATION}, clock)
+
+
+def test_a_missing_column_of_a_sensor_is_named_once(caplog):
+    Layout("time,range,azimuth", {"kiruna": STATION})
+    assert caplog.messages == ["measurements: no column elevation, so its values are missing"]
+    caplog.clear()
+    two = {"kiruna": STATION, "fix": StreamSensor.of(Position(3), 0.1, ORBIT)}
+    Layout("time,sensor,x,y", two)
+    assert caplog.messages == ["measurements: no column z of fix, so its values are missing"]
+    caplog.clear()
+    Layout("time,range,azimuth,elevation", {"kiruna": STATION})
+    assert caplog.messages == []

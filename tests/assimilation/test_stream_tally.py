@@ -14,9 +14,9 @@ from ahnn.errors import TrainingError
 @pytest.mark.parametrize(
     ("nis", "words"),
     [
-        (2.0, ": this one is overconfident, since process noise or measurement noise is set too small, or "),
+        (2.0, ": this one is overconfident, since process noise or measurement noise is too small, or "),
         (1.0, "a consistent filter has 0.914 to 1.09"),
-        (0.5, ": this one is too cautious, since process noise or measurement noise is set too large"),
+        (0.5, ": this one is too cautious, since process noise or measurement noise is too large"),
     ],
 )
 def test_the_verdict_names_the_noise_to_change(nis, words):

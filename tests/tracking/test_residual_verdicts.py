@@ -114,6 +114,8 @@ def test_a_setup_is_checked_with_the_place_of_what_is_wrong():
         "stations": {"a": [1.0, 2.0, 3.0]},
     }
     assert isinstance(setup_of(plain), OrbitSetup)
+    without = setup_of(plain | {"corrections": {"troposphere": None, "refraction": None}}).corrections
+    assert (without.troposphere, without.refraction) == ("none", "none")
     for change, words in (
         ({"start": "here"}, "start: expected a mapping of keys to values; received 'here'"),
         ({"noise": {"range": float("nan")}}, "noise.range: expected a standard deviation > 0; received nan"),

@@ -49,6 +49,8 @@ TIMES = {
     1 / 3600: "times are 3600 times too large (s as h?)",
 }
 """Correction factors that make a track an orbit, with their meaning."""
+PLANAR = 0.03
+"""Maximum misfit of two positions that are said to describe an orbit in their plane."""
 LOWEST, FARTHEST = 6378.0, 1e6
 """Distances of Earth satellites from its centre, in km."""
 PLANE = ({"x", "y"}, {"rx", "ry"}, {"qx", "qy"}, {"posx", "posy"}, {"positionx", "positiony"})
@@ -97,7 +99,7 @@ def without_height(content: Content, tracks: list[Track]) -> list[Finding]:
     distances = np.concatenate([np.linalg.norm(q, axis=1) for _, q in given])
     farthest = distances.max(initial=0.0, where=np.isfinite(distances))
     turning = content.frame.upper().startswith(ROTATING)
-    plane = (misfit(t, np.pad(q, ((0, 0), (0, 1))), MU.values(), turned=turning) <= FITS for t, q in given)
+    plane = (misfit(t, np.pad(q, ((0, 0), (0, 1))), MU.values(), turned=turning) <= PLANAR for t, q in given)
     if not LOWEST < farthest < FARTHEST or any(plane):
         return []
     what = "two positions do not describe an orbit in space: is z missing?"

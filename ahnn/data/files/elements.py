@@ -70,7 +70,7 @@ def content(
     Raises:
         UserError: no step or duration, no set, or an error raised by `note`.
     """
-    expected = "an element set, whose lines begin with 1 and 2"
+    expected = "an undamaged element set, whose lines begin with 1 and 2"
     read = partial(orbits_of, text, file)
     names = {"named": "element sets", "expected": expected, "unused": UNUSED}
     return sgp4_content(read, file, (step, duration), weighed=weighed, note=note, **names)

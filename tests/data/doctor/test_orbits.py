@@ -194,7 +194,7 @@ def test_the_centre_and_too_few_samples_tell_nothing():
 @pytest.mark.parametrize("unit", ["km", "m"])
 def test_two_positions_of_a_tilted_orbit_miss_the_third(unit, names):
     factor = 1000.0 if unit == "m" else 1.0
-    for tilt, count in ((0.6, 1), (0.0, 0)):
+    for tilt, count in ((0.6, 1), (0.35, 1), (0.0, 0)):
         t, q = circle(tilt=tilt)
         given = [Track("", "a.csv", 2 + np.arange(len(t)), t, factor * q[:, :2])]
         found = orbit_findings(content(given, units=("s", unit), names=names), given)
