@@ -271,7 +271,9 @@ class Layout:
             absent = [column for column in sensor.columns if column not in named]
             if absent and len(absent) < len(sensor.columns):
                 whose = "" if self.only else f" of {name}"
-                log.warning("measurements: no column %s%s, so its values are missing", ", ".join(absent), whose)
+                log.warning(
+                    "measurements: no column %s%s, so its values are missing", ", ".join(absent), whose
+                )
 
     def _scale(self, name: str, given: str) -> float:
         """Return the unit conversion factor of a column; raises UserError for an incompatible unit."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -59,7 +59,7 @@ def by_id(ids: Sequence[str], track: Track) -> list[Track]:
     return [part._replace(name=ids[int(first[k])]) for part, k in zip(tracks, order, strict=True)]
 
 
-def ordered(track: Track, column: str, note: Note = refuse) -> Track:
+def ordered(track: Track, column: str, note: Note = refuse, spelled: Callable[[float], str] = str) -> Track:
     """Return a track with increasing times.
 
     Args:
@@ -68,6 +68,7 @@ def ordered(track: Track, column: str, note: Note = refuse) -> Track:
         note: callback for times that are missing, repeated or decreasing; such samples are then skipped.
             Times that restart from the first one count as a single fault, and only the samples before the
             restart are returned.
+        spelled: function that writes a time as in the file.
 
     Raises:
         UserError: an error raised by `note`.
@@ -78,7 +79,7 @@ def ordered(track: Track, column: str, note: Note = refuse) -> Track:
     track = track.part(np.flatnonzero(np.isfinite(track.times)))
     if len(starts := restarts(track.times)):
         k, more = int(starts[0]), f", and {len(starts) - 1} more" if len(starts) > 1 else ""
-        received = f"a restart at {track.times[k]} after {track.times[k - 1]}{more}"
+        received = f"a restart at {spelled(track.times[k])} after {spelled(track.times[k - 1])}{more}"
         row = place._replace(row=int(track.rows[k]))
         note(Fault(row, f"increasing times{whose}", received, f"Give each trajectory {APART}"))
         track = track.part(slice(0, k))
@@ -86,9 +87,9 @@ def ordered(track: Track, column: str, note: Note = refuse) -> Track:
     good = np.concatenate(([True], track.times[1:] > late[:-1])) if len(late) else np.zeros(0, dtype=bool)
     last = np.maximum.accumulate(np.where(good, np.arange(len(late)), 0))
     for k in np.flatnonzero(~good):
-        before, here, known = late[k - 1], track.times[k], track.rows[last[k]]
+        before, here, known = spelled(late[k - 1]), spelled(track.times[k]), track.rows[last[k]]
         row = place._replace(row=int(track.rows[k]))
-        if before == here:
+        if late[k - 1] == track.times[k]:
             equal = np.array_equal(track.values[k], track.values[last[k]], equal_nan=True)
             remedy = "Remove the repeated row" if equal else f"Give each trajectory {APART}"
             note(Fault(row, f"each time{whose} once", f"{here}, which duplicates row {known}", remedy))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -75,7 +76,9 @@ def of_sheet(
     values = np.stack(columns, axis=1) * (*by.positions, *by.rates)
     name = header.names[found.time]
     whole = Track("", file, sheet.rows, times * by.time, values, controls_of(sheet, found, note))
-    tracks = tuple(ordered(track, name, note) for track in trajectories(sheet, found.id, whole, note))
+    spelled = str if epoch is None else partial(dated, epoch=epoch, clock=clock)
+    tracks = trajectories(sheet, found.id, whole, note)
+    tracks = tuple(ordered(track, name, note, spelled) for track in tracks)
     tracks = tuple(entitled(track, sidecar.objects, alone=len(tracks) == 1) for track in tracks)
     positions, rates = (tuple(header.names[i] for i in columns) for columns in (found.positions, found.rates))
     momenta, head, frame = found.kind == "momenta", place.row, canonical(sidecar.frame)
@@ -87,6 +90,11 @@ def of_sheet(
     )
     about = epoch, clock, name, head, columns, controls, linear
     return unwrapped(Content(positions, rates, momenta, by.units, frame, tracks, *about), note)
+
+
+def dated(time: float, epoch: int, clock: str) -> str:
+    """Format a time in seconds since an epoch, to a microsecond."""
+    return epochs.spelled(epoch + round(1e6 * time) * epochs.SECOND // 10**6, utc=clock == "UTC")
 
 
 def entitled(track: Track, objects: dict[str, str], *, alone: bool) -> Track:

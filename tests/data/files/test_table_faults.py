@@ -195,3 +195,13 @@ def test_numbers_count_up_to_those_whose_squares_are_infinite(tmp_path, binary):
     assert [one.place.row for one in notes if isinstance(one, Fault)] == ([3, 4] if binary else [4, 5])
     assert all("expected a finite number up to 1e+150" in str(one) for one in notes if isinstance(one, Fault))
     assert found.tracks[0].values[:2].tolist() == [[1e150], [-1e150]]
+
+
+def test_times_in_the_wrong_order_are_written_as_in_the_file(tmp_path):
+    rows = ["2024-03-01T10:00:00,1", "2024-03-01T12:00:00.25,2", "2024-03-01T11:00:00.5,3"]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["time,q", *rows]) + "\n")
+    with pytest.raises(UserError) as caught:
+        Files("a", str(path))
+    said = "a time after 2024-03-01T12:00:00.250 in row 3; received 2024-03-01T11:00:00.500. Sort the rows"
+    assert said in str(caught.value)
