@@ -25,6 +25,7 @@ SELDOM = 30.0
 log = logging.getLogger("ahnn")
 _note: ContextVar[Callable[[str], None] | None] = ContextVar("note", default=None)
 _step: ContextVar[str] = ContextVar("step", default="")
+_end: ContextVar[float] = ContextVar("end", default=0.0)
 
 
 def _console() -> Console:
@@ -72,22 +73,30 @@ def stage(description: str) -> Iterator[None]:
 
         def show(text: str) -> None:
             nonlocal due
-            bar.update(task, description=f"{description}: {text}")
-            if bar.disable and (now := time.monotonic()) >= due:
+            now = time.monotonic()
+            left = f", about {_end.get() - now:.0f} s left" if _end.get() > now else ""
+            bar.update(task, description=f"{description}: {text}{left}")
+            if bar.disable and now >= due:
                 due = now + SELDOM
-                log.info("%s: %s, %.0f s so far", description, text, now - began)
+                log.info("%s: %s, %.0f s so far%s", description, text, now - began, left)
 
-        token = _note.set(show)
+        token, end = _note.set(show), _end.set(0.0)
         try:
             yield
         finally:
             _note.reset(token)
+            _end.reset(end)
 
 
 def note(text: str) -> None:
     """Show what the current stage does; without effect outside a stage."""
     if (show := _note.get()) is not None:
         show(_step.get() + text)
+
+
+def foresee(seconds: float) -> None:
+    """Let notes of the current stage state the time left, which is `seconds` now."""
+    _end.set(time.monotonic() + seconds)
 
 
 def counted(most: int, name: str) -> Iterator[int]:

@@ -35,3 +35,22 @@ def test_notes_name_the_step_and_its_usual_time(caplog, monkeypatch):
         "a stage: step 2 of at most 3 (80 s each), a note",
         "a stage: another",
     ]
+
+
+def test_notes_state_the_time_left_once_it_is_foreseen(caplog, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    with caplog.at_level("INFO"), progress.stage("a stage"):
+        for now[0], text in ((40.0, "first"), (80.0, "second"), (400.0, "third")):
+            progress.note(text)
+            if text == "first":
+                progress.foresee(100.0)
+    with caplog.at_level("INFO"), progress.stage("another"):
+        now[0] = 450.0
+        progress.note("first")
+    assert caplog.messages == [
+        "a stage: first, 40 s so far",
+        "a stage: second, 80 s so far, about 60 s left",
+        "a stage: third, 400 s so far",
+        "another: first, 50 s so far",
+    ]

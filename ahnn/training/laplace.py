@@ -16,6 +16,7 @@ corrections, which do not need the true dynamics, may widen it:
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -27,7 +28,7 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from ahnn.data.segments import Segments
 from ahnn.dynamics import Dynamics
 from ahnn.measurements import Observations, Segment
-from ahnn.progress import counted
+from ahnn.progress import counted, foresee
 from ahnn.shooting.robust import RobustName, loss_of, variance
 from ahnn.training.acceleration import accelerated
 from ahnn.training.evidence import by_evidence, log_evidence
@@ -43,6 +44,8 @@ from ahnn.uncertainty import Uncertainty
 from ahnn.uncertainty.posterior import is_unfinished
 
 log = logging.getLogger("ahnn")
+AFTER = 6.0
+"""Measured time of the closing stage after its first normal equations, in units of the time up to them."""
 SHORTEST = 4
 """Minimum number of intervals of a segment."""
 DAMPING = 1e-6
@@ -155,8 +158,10 @@ def approached(
     """
     parameters = list(dynamics.parameters())
     sizes = [p.numel() for p in parameters]
+    began = time.monotonic()
     problem = whole_problem(dynamics, train, loss_of(robust, train.instrument.freedom))
     here = place(problem, parameters_to_vector(parameters), sizes)
+    foresee(AFTER * (time.monotonic() - began) if steps == 0 else 0.0)
     damping, gained = DAMPING, float("inf")
     for _ in counted(steps, "step"):
         if here is None or min(here.remaining, gained) <= enough * here.determined:
