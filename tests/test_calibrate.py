@@ -189,7 +189,8 @@ def test_what_is_finished_is_kept_shown_and_drawn(tmp_path, capfd, caplog):
     caplog.set_level("INFO", "ahnn")
     for number, one in enumerate(scores(3), 1):
         (tmp_path / f"draw_{number}").mkdir()
-        (tmp_path / f"draw_{number}" / "score.json").write_text(json.dumps(one))
+        settings = {"training": ["experiment=spring_noisy"], "spread": 0.1, "fitted": 0.5, "samples": 0}
+        (tmp_path / f"draw_{number}" / "score.json").write_text(json.dumps(one | {"settings": settings}))
     assert call("ahnn.calibrate", "experiment=spring_noisy", "draws=3", f"output={tmp_path}") == 0
     assert f"3 draws in {tmp_path}, 3 of them finished" in caplog.text
     assert "mean over 3 draws" in capfd.readouterr().out
@@ -212,3 +213,21 @@ def test_mistakes_are_one_message_before_any_work(words, message, capfd, tmp_pat
     error = capfd.readouterr().err
     assert message in error
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["data.noise=0.05"], "training: expected the settings with which "),
+        (["spread=0.3"], "draw_1 was made, 0.1; received 0.3. Choose another folder than output="),
+        (["samples=10"], "samples: expected "),
+    ],
+)
+def test_draws_of_other_settings_are_refused(words, message, capfd, tmp_path):
+    settings = {"training": ["experiment=spring_noisy"], "spread": 0.1, "fitted": 0.5, "samples": 0}
+    (tmp_path / "draw_1").mkdir()
+    (tmp_path / "draw_1" / "score.json").write_text(json.dumps(scores(1)[0] | {"settings": settings}))
+    command = ["ahnn.calibrate", "experiment=spring_noisy", *words, "draws=1", f"output={tmp_path}"]
+    assert call(*command) == 2
+    assert message in capfd.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["draw_1"]

@@ -226,6 +226,10 @@ def test_a_multirun_makes_four_folders_and_one_table(tmp_path, capfd):
     table = out[out.index("sweep") :]
     assert table.count("model=") == 4
     assert "no scores" not in table
+    before = (tmp_path / "sweep" / "multirun.yaml").read_bytes()
+    assert call("ahnn.train", "-m", "model=hnn", *jobs[2:], *SMALL) == 2
+    assert "expected a folder without checkpoints" in capfd.readouterr().err
+    assert (tmp_path / "sweep" / "multirun.yaml").read_bytes() == before
 
 
 def test_help_and_a_mistake_work_from_any_directory(tmp_path):

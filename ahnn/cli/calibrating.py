@@ -78,6 +78,7 @@ def calibrate(arguments: list[str]) -> None:
         return
     constants_of(overrides, asked.spread, 1)
     require_writable(Path(asked.output))
+    require_same_settings(plan, settings_of(overrides, asked), asked.output)
 
     def words(share: Sequence[CalibrationDraw]) -> list[str]:
         numbers = ",".join(str(draw.number) for draw in share)
@@ -97,6 +98,32 @@ def calibrate(arguments: list[str]) -> None:
         places = ", ".join(str(draw.number) for draw in failed)
         message = f"calibrate: {len(failed)} of {len(plan)} training runs failed, see above: draw {places}"
         raise TrainingError(message)
+
+
+def settings_of(overrides: Sequence[str], asked: CalibrationRequest) -> dict[str, Any]:
+    """Return what determines the results of a draw, as plain values."""
+    own = {"spread": asked.spread, "fitted": asked.fitted, "samples": asked.samples}
+    return {"training": sorted(overrides), **own}
+
+
+def require_same_settings(plan: Sequence[CalibrationDraw], wanted: dict[str, Any], output: str) -> None:
+    """Raise UserError if a finished draw was made with other settings."""
+    for draw in filter(finished, plan):
+        known = score(draw).get("settings", {})
+        if changed := [key for key in wanted if known.get(key) != wanted[key]]:
+            old, new = (words_of(made.get(changed[0])) for made in (known, wanted))
+            message = (
+                f"{changed[0]}: expected the settings with which {draw.folder} was made, {old}; received "
+                f"{new}. Choose another folder than output={output}"
+            )
+            raise UserError(message)
+
+
+def words_of(setting: Any) -> str:
+    """Return a setting as on a command line."""
+    if setting is None:
+        return "unknown ones"
+    return " ".join(setting) or "none" if isinstance(setting, list) else str(setting)
 
 
 def constants_of(overrides: list[str], spread: float, number: int) -> list[str]:
@@ -146,7 +173,7 @@ def one(draw: CalibrationDraw, overrides: list[str], asked: CalibrationRequest) 
         cfg = compose_job(texts, place / "run")
         quiet()
         check_settings(cfg)
-        found: dict[str, Any] = {}
+        found: dict[str, Any] = {"settings": settings_of(overrides, asked)}
         begun = time.process_time()
 
         def evaluation(prepared: Prepared, seconds: float) -> float:

@@ -29,6 +29,7 @@ from ahnn.arguments import flatten
 from ahnn.cli.identical_jobs import warn_of_twins
 from ahnn.cli.importing import let_import
 from ahnn.cli.option_hints import nearest_key, once_each, unknown_option, unused_group
+from ahnn.cli.preflight import require_new
 from ahnn.cli.settings import CommonSettings
 from ahnn.cli.sweep_syntax import sweep_fault
 from ahnn.cli.trust import targets
@@ -160,6 +161,8 @@ def check(args: Namespace, config_name: str) -> DictConfig | None:
     if args.multirun:
         folder = Path(composed[0].hydra.sweep.dir)
         require_folder(folder, "hydra.sweep.dir", [folder / "multirun.yaml"])
+        if composed[0].hydra.sweeper._target_.endswith("BasicSweeper"):  # which writes multirun.yaml at once
+            require_new(folder / "0", composed[0].get("ckpt"))
     require_referenced(composed, args.overrides)
     warn_of_twins(composed, [" ".join(job) for job in jobs])
     return composed[0]
