@@ -27,7 +27,7 @@ def fit(
     Runs the code of `python -m ahnn.train system=files` and writes the same table and files. The values are
     exact states or, with `data.noise`, measurements, which imply `sensor=recorded` unless a sensor, recipe or
     loss is named. The true equations are unknown, so floors and energy errors are omitted, and plugins that
-    need them must be requested by name.
+    need them must be requested by name. Progress goes to the logger `ahnn`.
 
     Args:
         trajectories: states (B, T, 2n) and times (B, T) or (T,), NaN marks missing samples; positions (B, T,

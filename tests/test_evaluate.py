@@ -177,7 +177,7 @@ def test_what_is_given_acts(run, caplog):
     changed = again(run, "system.stiffness=9", "label=nine: again")
     assert changed.label == "nine: again"
     assert changed.rows != before.rows
-    said = "trajectories other than the training data, with test trajectories not used in training"
+    said = "trajectories other than the training data; none was used in training"
     assert changed.training["data"] == said
     assert changed.rows[0].note.splitlines()[0] == f"test data: {said}"
     assert said in caplog.text

@@ -100,7 +100,7 @@ class SplitData:
             )
             raise UserError(message)
         what = "files other than the training data" if files else OTHERS
-        return what + (", with test trajectories not used in training" if seen else "")
+        return what + ("; none was used in training" if seen else "")
 
     def measured(self, split: Split) -> Observations:
         """Return the measurements of a split."""

@@ -101,7 +101,7 @@ def test_changed_data_of_which_nothing_was_seen_are_reported_with_that():
     seen = SplitData(Walks(files="a"), THEN).seen()
     assert len(seen) == 16
     other = Walks([*range(16), 19, 18, 17, 16])
-    said = "files other than the training data, with test trajectories not used in training"
+    said = "files other than the training data; none was used in training"
     assert SplitData(other, THEN).beside(known(files="a"), seen) == said
     other.states[16:] = 0.0  # a state of rest, which the training does not know
     assert SplitData(other, THEN).beside(known(files="a"), seen) == said

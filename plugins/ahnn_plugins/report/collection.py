@@ -100,9 +100,8 @@ def collect(folders: Iterable[Path]) -> Collection:
     for folder in folders:
         inside = [folder] if (folder / FILE).is_file() else runs_below(folder)
         if not inside:
-            message = (
-                f"{folder}: expected a run, or a folder of runs; received no {FILE}. Evaluate the run first"
-            )
+            what = f"no {FILE}. Evaluate the run first" if folder.exists() else "no such folder"
+            message = f"{folder}: expected a run, or a folder of runs; received {what}"
             raise UserError(message)
         for each in inside:
             found.setdefault(each.resolve(), each)

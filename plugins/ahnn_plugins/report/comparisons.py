@@ -52,11 +52,12 @@ def agreement(
 ) -> tuple[int, int, int]:
     """Return the numbers of pairs decided as in the paper, against it, and undecided."""
     found = {1: 0, -1: 0, 0: 0}
-    shared = [model for model in samples if samples[model].values and model in printed]
+    known = {model.lower(): value for model, value in printed.items()}
+    shared = [model for model in samples if samples[model].values and model.lower() in known]
     for a, b in combinations(shared, 2):
         between = ratio(samples[a], samples[b], confidence)
         decided = int(between.high < 1) - int(between.low > 1)
-        said = 1 if printed[a] < printed[b] else -1
+        said = 1 if known[a.lower()] < known[b.lower()] else -1
         found[decided * said] += 1
     return found[1], found[-1], found[0]
 

@@ -72,6 +72,7 @@ def test_the_order_of_models_says_which_of_its_steps_the_spread_decides(spring):
     assert str(ordered({"a": Sample((math.nan, 1.0)), "b": Sample((1.0, 1.0))}, 0.95)) == "b ~ a"
     assert agreement(samples, {"a": 2.0, "b": 1.0, "c": 0.1, "d": 3.0}, 0.95) == (1, 0, 2)
     assert agreement(samples, {"a": 1.0, "b": 2.0}, 0.95) == (0, 1, 0)
+    assert agreement(samples, {"A": 1.0, "B": 2.0}, 0.95) == (0, 1, 0)
     grid = order_table(board(spring, "mass_spring"), 0.95)
     order = "AHNN5 < HNN < AHNN3 < NODE < MLP"
     assert grid is not None
