@@ -111,19 +111,20 @@ def require_same_settings(plan: Sequence[CalibrationDraw], wanted: dict[str, Any
     for draw in filter(finished, plan):
         known = score(draw).get("settings", {})
         if changed := [key for key in wanted if known.get(key) != wanted[key]]:
-            old, new = (words_of(made.get(changed[0])) for made in (known, wanted))
+            key = changed[0]
+            old, new = (words_of(a.get(key), b.get(key)) for a, b in ((known, wanted), (wanted, known)))
             message = (
-                f"{changed[0]}: expected the settings with which {draw.folder} was made, {old}; received "
-                f"{new}. Choose another folder than output={output}"
+                f"{key}: expected the settings with which {draw.folder} was made; received {new} instead of "
+                f"{old}. Choose another folder than output={output}"
             )
             raise UserError(message)
 
 
-def words_of(setting: Any) -> str:
-    """Return a setting as on a command line."""
-    if setting is None:
-        return "unknown ones"
-    return " ".join(setting) or "none" if isinstance(setting, list) else str(setting)
+def words_of(setting: Any, other: Any) -> str:
+    """Return a setting as on a command line; of several words, those that another setting lacks."""
+    if not isinstance(setting, list):
+        return "unknown ones" if setting is None else str(setting)
+    return " ".join(word for word in setting if word not in (other or [])) or "none"
 
 
 def constants_of(overrides: list[str], spread: float, number: int) -> list[str]:
