@@ -35,7 +35,7 @@ def acceleration_drawing() -> Drawing:
         "the axes of the body and of the orbit's frame coincide. Tesserals: all terms of order above 0."
     )
     panel = Panel(tuple(series), "true anomaly [°]", "acceleration [km/s²]", log=True)
-    title = "Accelerations along the reference orbit (figure 4 of the paper)"
+    title = "Accelerations along the reference orbit (as in figure 4 of the paper)"
     return Drawing("perturbing_accelerations", title, caption, (panel,))
 
 

@@ -122,7 +122,7 @@ def _blocks(run: Kept) -> tuple[tuple[str, str], tuple[str, str]]:
 
 def _title(task: Task, prefix: str, start: str, in_paper: bool) -> str:
     number = PAPER.get((task.system, bool(prefix))) if in_paper else None
-    paper = f" (figure {number} of the paper)" if number and start != "fitted" else ""
+    paper = f" (as in figure {number} of the paper)" if number and start != "fitted" else ""
     setting = f"with {task.lead.filter}" if prefix else "without measurements"
     return f"moving average of the error {setting}, {start} start{paper}"
 

@@ -33,7 +33,7 @@ def orbits(task: Task) -> Drawing:
         series.append(path(run.entry.model, points, slot=run.slot, hover=told))
     panel = Panel(_behind(series), x, y, z, equal=True, radius=radius)
     caption = f"The first test orbit, {lead.start} start, without measurements. {CUT} {task.one_run_each()}"
-    return task.drawing("orbits", "orbits (figure 1 of the paper)", caption.strip(), [panel], "orbit")
+    return task.drawing("orbits", "orbits (as in figure 1 of the paper)", caption.strip(), [panel], "orbit")
 
 
 def plane(task: Task) -> Drawing:
@@ -45,7 +45,7 @@ def plane(task: Task) -> Drawing:
 def phase_portrait(task: Task) -> Drawing:
     """Plot velocity against position."""
     dof = task.lead.space.dof
-    title = "phase portrait (figure 5a of the paper)" if task.system == "mass_spring" else "phase portrait"
+    title = "phase portrait (as in figure 5a of the paper)" if task.system == "mass_spring" else "phase portrait"
     return _flat(task, "phase_portrait", title, slice(0, 2 * dof, dof))
 
 

@@ -59,7 +59,7 @@ def _states(task: Task, run: Kept, teeth: Teeth, start: str) -> Drawing:
         panels.append(Panel(series, time_label(run), label, limits=_frame(truth)))
     number = PAPER.get(task.system)
     same = number and start == "perturbed" and run.entry.model.upper() == ORDER[-1]
-    paper = f" (figure {number} of the paper)" if same else ""
+    paper = f" (as in figure {number} of the paper)" if same else ""
     title = f"state estimated by {run.entry.model} + {run.filter}, {start} start{paper}"
     caption = (
         f"{_which(run, teeth)}, before and after every update; its band is ±{WIDE:g} standard deviations."
