@@ -6,7 +6,7 @@ from ahnn_plugins.report.drawing import Drawing, Panel, Role, Series
 from ahnn_plugins.report.figures.curves import curve
 from ahnn_plugins.report.figures.task import Task, time_label
 
-FIGURES = {"mass_spring": " (as in figure 5b of the paper)", "molniya": " (figure 7 of the paper)"}
+FIGURES = {"mass_spring": " (as in figure 5b of the paper)", "molniya": " (as in figure 7 of the paper)"}
 
 
 def energy_drawings(task: Task) -> list[Drawing]:

@@ -45,7 +45,8 @@ def plane(task: Task) -> Drawing:
 def phase_portrait(task: Task) -> Drawing:
     """Plot velocity against position."""
     dof = task.lead.space.dof
-    title = "phase portrait (as in figure 5a of the paper)" if task.system == "mass_spring" else "phase portrait"
+    paper = " (as in figure 5a of the paper)" if task.system == "mass_spring" else ""
+    title = f"phase portrait{paper}"
     return _flat(task, "phase_portrait", title, slice(0, 2 * dof, dof))
 
 
