@@ -8,6 +8,9 @@ from torch import Tensor
 from ahnn.measurements import Instrument, Observations, Segment
 from ahnn.measurements.smoothing import DEGREE, FIRST, located_at, no_start
 
+SHORTEST = 4
+"""Minimum number of intervals of segments that are cut from others."""
+
 
 class Segments:
     """All segments of K intervals that begin where an initial state can be estimated.
@@ -68,6 +71,16 @@ def whole(measured: Observations, instrument: Instrument) -> Segment:
     """Return trajectories from their first suitable start on; raises the same errors as `Segments`."""
     segments = Segments(measured, None, instrument)
     return segments.gather(torch.arange(len(segments)))
+
+
+def shortened(whole: Segment, share: int) -> Segment:
+    """Return segments of a fraction 1 / share of the length, which together contain about all measurements.
+
+    They have at least SHORTEST intervals.
+    """
+    intervals = max(whole.times.shape[1] // share, SHORTEST)
+    segments = Segments(Observations(whole.values, whole.times), intervals, whole.instrument)
+    return segments.gather(torch.arange(0, len(segments), max(len(segments) // segments.covering, 1)))
 
 
 def ahead(there: Tensor, count: int) -> Tensor:

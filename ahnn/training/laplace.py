@@ -25,9 +25,9 @@ import torch
 from torch import Tensor
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
-from ahnn.data.segments import Segments
+from ahnn.data.segments import shortened
 from ahnn.dynamics import Dynamics
-from ahnn.measurements import Observations, Segment
+from ahnn.measurements import Segment
 from ahnn.progress import counted, foresee
 from ahnn.shooting.robust import RobustName, loss_of, variance
 from ahnn.training.acceleration import accelerated
@@ -46,8 +46,6 @@ from ahnn.uncertainty.posterior import is_unfinished
 log = logging.getLogger("ahnn")
 AFTER = 6.0
 """Measured time of the closing stage after its first normal equations, in units of the time up to them."""
-SHORTEST = 4
-"""Minimum number of intervals of a segment."""
 DAMPING = 1e-6
 """Initial damping: float32 training determines directions only to a millionth of the best observable ones."""
 FURTHER = 10
@@ -55,6 +53,8 @@ FURTHER = 10
 SHARES = (8, 4, 2)
 """Fractions of trajectories on which they are taken first: over short segments, paths of inaccurate dynamics
 stay near the data."""
+BETTER = ("remaining", 1.0), ("chi_square", 1.1)
+"""Maximum ratios of their result to that without them."""
 HARDER = 10.0
 """Factor on the damping after a step beyond the linear range."""
 REFUSED = 3.0902
@@ -96,14 +96,19 @@ def _continued(
 ) -> Uncertainty:
     """Take further steps after an unfinished training, on segments of increasing length and on trajectories.
 
-    Returns the result nearer to its optimum.
+    Returns the result nearer to its optimum, unless it fits worse.
     """
-    log.info("the training has not reached its optimum: at most %d further steps", FURTHER)
+    log.info("the training has not reached its optimum: further steps follow, first on short segments")
     before = parameters_to_vector(dynamics.parameters())
     for share in SHARES:
-        approached(dynamics, shortened(train, share), FURTHER, robust, enough=1.0)
-    again = _concluded(dynamics, train, held_out, FURTHER, robust)
-    if again is not None and again.about["remaining"] < found.about["remaining"]:
+        _, here, gained = approached(dynamics, shortened(train, share), FURTHER, robust, enough=1.0)
+        if here is None or min(here.remaining, gained) > here.determined:
+            steps = 0  # even short segments are not fitted
+            break
+    else:
+        steps = FURTHER
+    again = _concluded(dynamics, train, held_out, steps, robust)
+    if again is not None and all(again.about[key] <= bound * found.about[key] for key, bound in BETTER):
         return again
     vector_to_parameters(before, dynamics.parameters())
     return found
@@ -140,13 +145,6 @@ def with_biases(found: Uncertainty, problem: WideProblem) -> Uncertainty:
     named = zip(("bias", "bias_sd"), best, strict=True)
     biases = {name: spread_over(values, problem.shared.places, size).tolist() for name, values in named}
     return replace(found, about=found.about | biases)
-
-
-def shortened(whole: Segment, share: int) -> Segment:
-    """Return segments of a fraction of the length that together contain about all measurements."""
-    intervals = max(whole.times.shape[1] // share, SHORTEST)
-    segments = Segments(Observations(whole.values, whole.times), intervals, whole.instrument)
-    return segments.gather(torch.arange(0, len(segments), max(len(segments) // segments.covering, 1)))
 
 
 def approached(
