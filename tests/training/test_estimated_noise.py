@@ -11,6 +11,7 @@ from torch.nn.utils import parameters_to_vector
 from ahnn.measurements import Position, State, UnknownNoise
 from ahnn.measurements.coloured_noise import Colour
 from ahnn.shooting.robust import ROBUST
+from ahnn.training import laplace
 from ahnn.training.estimated_noise import alike, conclude_with_noise
 from ahnn.training.laplace import conclude
 from ahnn.training.maximum_posterior import WideProblem
@@ -165,7 +166,8 @@ def test_colour_widens_what_is_known_of_the_parameters():
     assert (found.covariance.diagonal() > 1.5 * plain.covariance.diagonal()).all()
 
 
-def test_errors_of_the_dynamics_are_not_taken_for_noise(caplog):
+def test_errors_of_the_dynamics_are_not_taken_for_noise(caplog, monkeypatch):
+    monkeypatch.setattr(laplace, "FURTHER", 0)  # which would correct them
     train, other = (batch_of(seed, rows=10) for seed in (11, 12))
     wrong, unknown = Swing(3.0, 0.0), UnknownNoise(sizes=True, correlation=True)
     _, noise = conclude_with_noise(wrong, train, other, 0, "none", unknown)
