@@ -162,10 +162,8 @@ def forecast(
             off_all = torch.where(beyond.unsqueeze(-1), sampled_errors(*given), off_true)
             known["sampled"] = partial(off_all, there, early)
     ahead, total = later & ~part.values.isnan(), 1 + variances.values
-    rows, width = part.residuals(states[:, steps.ends]), total[ahead]
-    off = rows / total.sqrt() if freedom is None else normal_scores(rows, freedom, variances.values)
-    off, cut = off[ahead], robust != "none" and freedom is None
-    counted = ~(off.abs() > OUTLYING) if cut else torch.ones_like(off, dtype=torch.bool)
+    width, off = total[ahead], errors(part, states[:, steps.ends], variances.values)[ahead]
+    counted = ~(off.abs() > OUTLYING) | (robust == "none" or freedom is not None)
     return Forecast(
         coverage=shares(off[counted]),
         width=float(width[counted].nanmean().sqrt()),
@@ -177,6 +175,12 @@ def forecast(
         nonlinear=float(beyond[ahead.any(-1)].double().mean()),
         **known,
     )
+
+
+def errors(part: Segment, states: Tensor, variances: Tensor) -> Tensor:
+    """Return errors of forecasts in standard deviations; `variances` (B, K + 1, M) exclude the noise."""
+    rows, freedom = part.residuals(states), part.instrument.freedom
+    return rows / (1 + variances).sqrt() if freedom is None else normal_scores(rows, freedom, variances)
 
 
 def true_coverages(off: Tensor, there: Tensor, beyond: Tensor, early: Tensor) -> dict[str, Any]:

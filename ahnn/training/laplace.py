@@ -51,8 +51,7 @@ DAMPING = 1e-6
 FURTHER = 10
 """Maximum number of further steps of each kind if the training would otherwise end before its optimum."""
 SHARES = (8, 4, 2)
-"""Fractions of trajectories on which they are taken first: over short segments, paths of inaccurate dynamics
-stay near the data."""
+"""Divisors of the trajectories' length for their segments, on which inaccurate paths stay near the data."""
 BETTER = ("remaining", 1.0), ("chi_square", 1.1)
 """Maximum ratios of their result to that without them."""
 HARDER = 10.0
