@@ -220,5 +220,6 @@ def test_one_trajectory_makes_splits_only_when_it_is_cut(tmp_path, capfd):
     data.write_text("".join(data.read_text().splitlines(keepends=True)[:62]))
     given = [*SMALL, f"system.path={data}", "model=hnn", f"run={tmp_path / 'run'}", "trainer.max_epochs=1"]
     assert call("ahnn.train", *given) == 2
-    assert "or cut trajectories of files with system.cut" in capfd.readouterr().err
-    assert call("ahnn.train", *given, "system.cut=12", "data.split=[0.6,0.2,0.2]") == 0
+    told = capfd.readouterr().err
+    assert "or cut trajectories of files with system.cut, for example system.cut=" in told
+    assert call("ahnn.train", *given, told.split()[-1], "data.split=[0.6,0.2,0.2]") == 0

@@ -45,7 +45,8 @@ class SplitData:
         if not self._parts:
             data = self.source.read()
             begin = 0
-            for name, size in zip(SPLITS, split_sizes(len(data.states), self.fractions), strict=True):
+            sizes = split_sizes(len(data.states), self.fractions, samples=data.states.shape[1])
+            for name, size in zip(SPLITS, sizes, strict=True):
                 self._rows[name] = slice(begin, begin + size)
                 self._parts[name] = data.part(self._rows[name])
                 begin += size
@@ -75,7 +76,7 @@ class SplitData:
                     f"received {recipe}, whose test trajectories may be part of the training data"
                 )
                 raise UserError(message)
-            return self._others("files" in recipe and "files" in known["recipe"], seen)
+            return self._others(_difference(known["recipe"], recipe), seen)
         if known["split"] == list(self.fractions):
             return SAME
         count = len(self.source.read().states)
@@ -89,8 +90,8 @@ class SplitData:
             raise UserError(message)
         return "a part of the test split of the run's data"
 
-    def _others(self, files: bool, seen: Sequence[int]) -> str:
-        """Describe how the data differ; raises UserError for a test trajectory used in training."""
+    def _others(self, what: str, seen: Sequence[int]) -> str:
+        """Return how the data differ, `what`; raises UserError for a test trajectory used in training."""
         count = len(self["test"].states)
         if known := recognised(self["test"], seen):
             message = (
@@ -99,7 +100,6 @@ class SplitData:
                 "and the split of the run, or use other data"
             )
             raise UserError(message)
-        what = "files other than the training data" if files else OTHERS
         return what + ("; none was used in training" if seen else "")
 
     def measured(self, split: Split) -> Observations:
@@ -147,6 +147,17 @@ class SplitData:
         return level
 
 
+def _difference(known: dict[str, Any], recipe: dict[str, Any]) -> str:
+    """Return how the data of a recipe differ from those of the training."""
+    if "files" in recipe and "files" in known:
+        return "files other than the training data"
+    if {**known, "code": None} == {**recipe, "code": None}:
+        then, now = (set(dict(each.get("code", {})).items()) for each in (known, recipe))
+        modules = ", ".join(sorted({name for name, _ in then ^ now}))
+        return f"the test split of the run's data; the code of its system ({modules}) has changed since then"
+    return OTHERS
+
+
 def check_fractions(fractions: list[float]) -> None:
     """Raise UserError for fractions that are not three positive numbers with sum 1."""
     if not (len(fractions) == 3 and all(s > 0 for s in fractions) and abs(sum(fractions) - 1) <= 1e-9):
@@ -155,10 +166,11 @@ def check_fractions(fractions: list[float]) -> None:
         raise UserError(message)
 
 
-def split_sizes(count: int, fractions: list[float]) -> list[int]:
+def split_sizes(count: int, fractions: list[float], samples: int = 0) -> list[int]:
     """Return the number of trajectories per split; the first takes the remainder of rounding.
 
-    A split that would be empty by rounding gets a trajectory of the largest one.
+    A split that would be empty by rounding gets a trajectory of the largest one. `samples` is the number of
+    samples of a trajectory, for the remedy of an error.
 
     Raises:
         UserError: fractions that are not three positive numbers with sum 1, or fewer than three trajectories.
@@ -167,10 +179,12 @@ def split_sizes(count: int, fractions: list[float]) -> list[int]:
     rest = [round(fraction * count) for fraction in fractions[1:]]
     sizes = [count - sum(rest), *rest]
     if count < len(SPLITS):
+        total = samples * count
+        example = f", for example system.cut={max(20, total // 10)}" if total >= 60 else ""
         message = (
             f"data.split: expected at least one trajectory in each of {', '.join(SPLITS)}; received {count} "
             f"{'trajectory' if count == 1 else 'trajectories'}. Use more, or cut trajectories of files with "
-            "system.cut"
+            f"system.cut{example}"
         )
         raise UserError(message)
     while min(sizes) < 1:

@@ -68,6 +68,10 @@ def test_other_data_are_other_trajectories_unless_they_are_the_same_files():
     assert SplitData(Twenty(), THEN).beside(None) == "unknown training data"
     others = "trajectories other than the training data"
     assert SplitData(Twenty(seed=1), THEN).beside(known()) == others
+    edited = SplitData(Twenty(code={"mine": "2", "base": "1"}), THEN).beside(
+        known(code={"mine": "1", "base": "1"})
+    )
+    assert edited == "the test split of the run's data; the code of its system (mine) has changed since then"
     changed = "files other than the training data"
     assert SplitData(Twenty(files="a"), THEN).beside(known(files="b")) == changed
     assert SplitData(Twenty(files="a"), THEN).beside(known()) == others
