@@ -80,9 +80,9 @@ def compiled_library(
         vectors: whether to compile for the vector extensions that torch reports; old compilers may lack them.
         defined: preprocessor macros required by the source.
     """
-    told = os.environ.get("CC", "")
+    compiler = os.environ.get("CC", "")
     try:
-        command = shlex.split(told) or ["cc"]
+        command = shlex.split(compiler) or ["cc"]
         if shutil.which(command[0]) is None:
             _tell_of_no_compiler(command[0])
             return None
@@ -93,7 +93,9 @@ def compiled_library(
             function.argtypes, function.restype = arguments, NUMBER
     except (OSError, ValueError, AttributeError, subprocess.SubprocessError) as error:
         said = getattr(error, "stderr", None) or error
-        message = f"ahnn: {whose} continues without its C library, more slowly; {told or 'cc'} said: {said}"
+        message = (
+            f"ahnn: {whose} continues without its C library, more slowly; {compiler or 'cc'} said: {said}"
+        )
         warnings.warn(message, stacklevel=3)
         return None
     return found

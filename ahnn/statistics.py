@@ -44,9 +44,9 @@ class Statistics(NamedTuple):
     def without(self, known: Tensor) -> Statistics:
         """Return the statistics after subtraction of forces `known`, (M, n), at the sample positions."""
         left = self.forces - known
-        share = left.square().mean(0).sqrt() / self.forces.square().mean(0).sqrt()
+        ratio = left.square().mean(0).sqrt() / self.forces.square().mean(0).sqrt()
         rate_q, rate_p = self.rate.chunk(2)
-        return self._replace(forces=left, rate=torch.cat((rate_q, rate_p * share)))
+        return self._replace(forces=left, rate=torch.cat((rate_q, rate_p * ratio)))
 
     @classmethod
     def of(cls, trajectories: Trajectories, examples: int = 20_000) -> Statistics:

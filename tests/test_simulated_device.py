@@ -169,7 +169,7 @@ def test_batches_of_measurements_are_on_the_device_of_the_trainer(tmp_path):
         Sensor(SPRING.space, measured="state", noise=0.01),
     )
     data = WindowDataModule(source, **options, sensor=sensor)
-    data.follow(SimpleNamespace(intervals=lambda *_: 4, stretches=lambda *_: None), 1)
+    data.follow(SimpleNamespace(intervals=lambda *_: 4, segments_per_step=lambda *_: None), 1)
     with simulated_device() as device:
         data.trainer = SimpleNamespace(strategy=SimpleNamespace(root_device=device))
         for loader in (data.train_dataloader(), data.val_dataloader()):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from ahnn.assimilation.member_updates import FAULT, MeasuredRows, MemberUpdates, Told
+from ahnn.assimilation.member_updates import FAULT, MeasuredRows, MemberOutcome, MemberUpdates
 from ahnn.assimilation.object_windows import FollowedObjects, KeptRow
 from ahnn.assimilation.online import absurd_numbers, lost_filter
 from ahnn.assimilation.reading_table import FATES, Array, CatalogueEstimates, Places, ReadingTable
@@ -102,8 +102,8 @@ class CatalogueRounds:
         """Filter readings, replay later ones, keep valid results, and record the innovations."""
         _, times, sensors, values, deviations = readings
         given = MeasuredRows(times, sensors, values, deviations).at(chosen.rows)
-        told, targets = self._step(chosen.numbers, chosen.slots, chosen.since, given)
-        statuses = told.statuses.numpy()
+        outcome, targets = self._step(chosen.numbers, chosen.slots, chosen.since, given)
+        statuses = outcome.statuses.numpy()
         chains = {j: [_kept(given, j, int(targets[j]))] for j in chosen.later if not statuses[j]}
         faults = {j: _kept(given, j, -1) for j in np.flatnonzero(statuses).tolist()}
         self._replay(chosen, chains, statuses, faults)
@@ -113,27 +113,29 @@ class CatalogueRounds:
         self._keep(chosen, given, targets, sound, chains)
         place, own = chosen.rows[sound], torch.from_numpy(sound)
         empty = np.isnan(given.values[sound]).all(1)
-        fates = np.where(told.rejected.numpy()[sound], REJECTED, np.where(empty, PREDICTED, TAKEN))
-        found.fates[place] = np.where(told.reopened.numpy()[sound], REOPENED, fates)
+        fates = np.where(outcome.rejected.numpy()[sound], REJECTED, np.where(empty, PREDICTED, TAKEN))
+        found.fates[place] = np.where(outcome.reopened.numpy()[sound], REOPENED, fates)
         into = found.residuals, found.deviations, found.nis, found.measured
-        for whole, part in zip(into, told[4:], strict=True):
+        for whole, part in zip(into, outcome[4:], strict=True):
             whole[torch.from_numpy(place)] = part[own]
         for j in chains:
             found.replayed[chosen.rows[j]] = len(chosen.later[j])
 
-    def _step(self, numbers: Places, slots: Places, since: Array, given: MeasuredRows) -> tuple[Told, Places]:
+    def _step(
+        self, numbers: Places, slots: Places, since: Array, given: MeasuredRows
+    ) -> tuple[MemberOutcome, Places]:
         """Filter readings; return the innovations, and the rows of posterior beliefs for valid members."""
         objects = self.objects
-        told = self.updates.filtered(objects.state, numbers, slots, since, given)
-        sound = told.statuses.numpy() == 0
+        outcome = self.updates.filtered(objects.state, numbers, slots, since, given)
+        sound = outcome.statuses.numpy() == 0
         targets = objects.take(len(slots)) if self.limits.window else slots
         if sound.all():
-            objects.write(targets, told.state)
+            objects.write(targets, outcome.state)
         else:
-            objects.write(targets[sound], member_rows(told.state, torch.from_numpy(sound)))
+            objects.write(targets[sound], member_rows(outcome.state, torch.from_numpy(sound)))
             if self.limits.window:
                 objects.release(targets[~sound].tolist())
-        return told, targets
+        return outcome, targets
 
     def _replay(
         self,
@@ -147,9 +149,9 @@ class CatalogueRounds:
         while live := [j for j in chains if wave < len(later[j])]:
             again, last = [later[j][wave] for j in live], [chains[j][-1] for j in live]
             slots, since = np.array([one.slot for one in last]), np.array([one.time for one in last])
-            told, targets = self._step(chosen.numbers[live], slots, since, _rows_of(again))
+            outcome, targets = self._step(chosen.numbers[live], slots, since, _rows_of(again))
             for k, j in enumerate(live):
-                if status := int(told.statuses[k]):
+                if status := int(outcome.statuses[k]):
                     statuses[j], faults[j] = status, again[k]
                     self.objects.release([one.slot for one in chains.pop(j)])
                 else:

@@ -34,7 +34,7 @@ class MeasuredRows(NamedTuple):
         return MeasuredRows(times[chosen], sensors[chosen], values[chosen], deviations[chosen])
 
 
-class Told(NamedTuple):
+class MemberOutcome(NamedTuple):
     """Results of readings for B objects.
 
     Attributes:
@@ -58,7 +58,7 @@ class Told(NamedTuple):
     measured: Tensor
 
     @classmethod
-    def room(cls, like: FilterState, count: int, width: int) -> Told:
+    def room(cls, like: FilterState, count: int, width: int) -> MemberOutcome:
         """Allocate results of B readings, initially without measurements."""
         wide = torch.full((2, count, width), torch.nan, dtype=torch.float64)
         whole = torch.zeros(2, count, dtype=torch.int64)
@@ -84,9 +84,9 @@ class MemberUpdates:
 
     def filtered(
         self, state: FilterState, numbers: Places, slots: Places, since: Array, given: MeasuredRows
-    ) -> Told:
+    ) -> MemberOutcome:
         """Update beliefs from rows `slots` at times `since` (B,) with one reading per object, at its time."""
-        told = Told.room(state, len(slots), self.width)
+        outcome = MemberOutcome.room(state, len(slots), self.width)
         rows, begun = torch.from_numpy(slots), torch.from_numpy(since)
         own = torch.from_numpy(np.minimum(numbers, len(self.spreads) - 1))
         times, _, values, deviations = (torch.from_numpy(part) for part in given)
@@ -101,14 +101,14 @@ class MemberUpdates:
             before, end = member_rows(state, rows[block]), times[block]
             predicted = self.models.process.members_advanced(before, begun[block], end)
             if sensor < 0:
-                put_rows(told.state, block, predicted)
-                told.statuses[block] = predicted.status
+                put_rows(outcome.state, block, predicted)
+                outcome.statuses[block] = predicted.status
             else:
                 measured = end, values[block], deviations[block], self.spreads[own[block]]
-                self._update(sensor, block, predicted, measured, told)
+                self._update(sensor, block, predicted, measured, outcome)
 
         each(work, blocks, state.status.device)
-        return told
+        return outcome
 
     def _update(
         self,
@@ -116,7 +116,7 @@ class MemberUpdates:
         block: Tensor,
         before: FilterState,
         given: tuple[Tensor, Tensor, Tensor, Tensor],
-        told: Told,
+        outcome: MemberOutcome,
     ) -> None:
         """Update a block of members with one sensor and store the results."""
         name, own = self.names[sensor], self.places[sensor]
@@ -132,14 +132,17 @@ class MemberUpdates:
             put_rows(after, where, member_rows(wide, opened))
             for whole, one in zip(innovation, found, strict=True):
                 whole[where] = one[opened]
-            told.reopened[block[where]] = True
+            outcome.reopened[block[where]] = True
         fault = self.models.at_fault(name, (before, after), innovation, y, model)
-        put_rows(told.state, block, after)
-        told.statuses[block] = torch.where(fault, FAULT, after.status)
-        told.rejected[block] = innovation.rejected
+        put_rows(outcome.state, block, after)
+        outcome.statuses[block] = torch.where(fault, FAULT, after.status)
+        outcome.rejected[block] = innovation.rejected
         column = block.unsqueeze(1)
-        told.residuals[column, own], told.deviations[column, own] = innovation.residual, innovation.deviation
-        told.nis[block], told.measured[block] = innovation.nis, innovation.measured
+        outcome.residuals[column, own], outcome.deviations[column, own] = (
+            innovation.residual,
+            innovation.deviation,
+        )
+        outcome.nis[block], outcome.measured[block] = innovation.nis, innovation.measured
 
     def _noise(self, name: str, deviations: Tensor) -> Factor:
         """Return the factor of R of readings; their own standard deviations (B, M) take precedence."""

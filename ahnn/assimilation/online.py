@@ -121,7 +121,7 @@ class Assimilation:
         self.window = run.window(self.window, self.span, self.lines)
         parts = run.rows.means[:, : self.size], covariances(run.rows.chols)[:, : self.size, : self.size]
         rows = zip(run.readings, *(part.unbind() for part in parts), run.innovations, strict=True)
-        return [Estimate("taken", reading.time, *told) for reading, *told in rows]
+        return [Estimate("taken", reading.time, *results) for reading, *results in rows]
 
     def _of_one(self, reading: Reading) -> Estimate:
         """Process one reading; raises the same errors as `update`."""
@@ -261,9 +261,9 @@ class Assimilation:
         state, innovation = self.process.estimator.update(before, y, model, factor)
         opened = False
         if bool(self.models.beyond_patience(state, innovation)):
-            wide, told, taken = self.models.reopened(before, y, model, factor, self.spread)
+            wide, updated, taken = self.models.reopened(before, y, model, factor, self.spread)
             if opened := bool(taken):
-                state, innovation = wide, told
+                state, innovation = wide, updated
         if bool(self.models.at_fault(reading.sensor, (before, state), innovation, y, model)):
             columns = self.sensors[reading.sensor].columns
             said = [f"{name} {value:g}" for name, value in zip(columns, reading.values, strict=True)]
@@ -276,8 +276,8 @@ class Assimilation:
         mean, chol = self.window.state.moments
         covariance, time = covariances(chol[0, : self.size, : self.size]), self.window.time
         smoothed = None if self.lag is None else smoothed_at(self.window, time - self.lag)
-        told = innovation, replayed, self.modes, smoothed
-        return Estimate(outcome, time, mean[0, : self.size], covariance, *told)
+        details = innovation, replayed, self.modes, smoothed
+        return Estimate(outcome, time, mean[0, : self.size], covariance, *details)
 
 
 def absurd_numbers(said: list[str], deviations: Sequence[float]) -> str:

@@ -122,17 +122,17 @@ class Rows:
         rows, columns = zip(*self.lower, strict=True)
         means = torch.stack([one.mean for one in estimates]) / self.scales
         covariances = torch.stack([one.covariance for one in estimates]) / self.scales.outer(self.scales)
-        told = np.full((2, len(estimates), self.width), np.nan)
+        innovations = np.full((2, len(estimates), self.width), np.nan)
         for name in (names := dict.fromkeys(sensors)):
             every = range(len(sensors))
             own = [*every] if len(names) == 1 else [k for k in every if sensors[k] == name]
-            for whole, parts in zip(told, ("residual", "deviation"), strict=True):
+            for whole, parts in zip(innovations, ("residual", "deviation"), strict=True):
                 part = torch.cat([getattr(innovations[k], parts) for k in own]).numpy()
                 for place, column in zip(self.places.get(name, ()), part.T, strict=True):
                     whole[own, place] = column
         more = [[*one.modes, *self._smoothed(one)] for one in estimates]
         triangles = covariances[:, list(rows), list(columns)].numpy()
-        numbers = np.concatenate((means.numpy(), triangles, *told, np.array(more)), axis=1)
+        numbers = np.concatenate((means.numpy(), triangles, *innovations, np.array(more)), axis=1)
         return dict(zip(self.names, [*first, *numbers.T], strict=True))
 
     def _smoothed(self, estimate: Estimate) -> list[float]:

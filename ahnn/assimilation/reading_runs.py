@@ -145,8 +145,8 @@ def _run(
     gains = torch.tensor([after - now for now, after in pairwise(logs)], dtype=torch.float64)
     count, accepted = torch.tensor([rows.residuals.shape[1]]), torch.zeros(1, dtype=torch.bool)
     parts = rows.residuals, rows.deviations, rows.nis, gains
-    told = [
+    innovations = [
         Innovation(residual, deviation, nis, count, accepted, gain)
         for residual, deviation, nis, gain in zip(*(part.split(1) for part in parts), strict=True)
     ]
-    return FollowedRun(readings, told, rows, before, steps, logs)
+    return FollowedRun(readings, innovations, rows, before, steps, logs)

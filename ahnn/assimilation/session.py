@@ -183,8 +183,8 @@ class Session(StreamSession):
             name = reading.sensor or next(iter(self.filter.sensors))
             own = self.filter.sensors[name].columns, reading.values, estimate.innovation.residual
             self.ratios.add(name, *own)
-            told = number, label, float(estimate.innovation.nis), int(estimate.innovation.measured)
-            log.info("line %d: %s rejected, NIS %.3g for %d values", *told)
+            values = number, label, float(estimate.innovation.nis), int(estimate.innovation.measured)
+            log.info("line %d: %s rejected, NIS %.3g for %d values", *values)
         elif estimate.outcome == "reopened":
             words = "reopened the gate after consecutive rejections; the covariance was enlarged"
             self.ratios.close(reading.sensor or next(iter(self.filter.sensors)))

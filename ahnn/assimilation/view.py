@@ -52,9 +52,9 @@ class View:
 
     def __call__(self, line: int, reading: Reading, estimate: Estimate, counts: Counter[str]) -> None:
         """Show an estimate, at a limited rate."""
-        told = estimate.innovation
-        if told is not None and int(told.measured):
-            self.recent.append((float(told.nis), int(told.measured)))
+        innovation = estimate.innovation
+        if innovation is not None and int(innovation.measured):
+            self.recent.append((float(innovation.nis), int(innovation.measured)))
         self.last = line, reading, estimate, counts
         now = time.monotonic()
         if now - self.drawn >= (SELDOM if self.live is None else OFTEN):
@@ -83,7 +83,7 @@ class View:
         ):
             table.add_row(name, f"{value:.8g}", f"{3 * sd:.3g}", units.position if k < dof else momentum)
         table.caption = "\n".join(
-            (f"{reading.sensor or 'no sensor'}: {told(estimate)}", self.consistency(), said(counts))
+            (f"{reading.sensor or 'no sensor'}: {described(estimate)}", self.consistency(), said(counts))
         )
         return table
 
@@ -101,7 +101,7 @@ class View:
         return estimate.covariance.diagonal().clamp(min=0.0).sqrt().tolist()
 
 
-def told(estimate: Estimate) -> str:
+def described(estimate: Estimate) -> str:
     """Format the innovations of a reading in standard deviations."""
     if estimate.innovation is None or not int(estimate.innovation.measured):
         return estimate.outcome

@@ -103,8 +103,8 @@ def run(plan: list[DrawnTraining], asked: BenchmarkRequest) -> list[DrawnTrainin
     done = sum(map(finished, plan))
     log.info("benchmark: %d training runs in %s, %d of them finished", len(plan), asked.output, done)
 
-    def words(share: Sequence[DrawnTraining]) -> list[str]:
-        (training,) = share
+    def words(part: Sequence[DrawnTraining]) -> list[str]:
+        (training,) = part
         own = [training.task, f"models=[{training.model}]", f"only={training.draw + 1}"]
         return ["ahnn.benchmark", *own, f"output='{asked.output}'"]
 

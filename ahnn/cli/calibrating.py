@@ -80,8 +80,8 @@ def calibrate(arguments: list[str]) -> None:
     require_writable(Path(asked.output))
     require_same_settings(plan, settings_of(overrides, asked), asked.output)
 
-    def words(share: Sequence[CalibrationDraw]) -> list[str]:
-        numbers = ",".join(str(draw.number) for draw in share)
+    def words(part: Sequence[CalibrationDraw]) -> list[str]:
+        numbers = ",".join(str(draw.number) for draw in part)
         own = [f"only=[{numbers}]", f"spread={asked.spread}", f"fitted={asked.fitted}"]
         here = [*own, f"samples={asked.samples}", f"output='{asked.output}'"]
         return ["ahnn.calibrate", *overrides, *here]

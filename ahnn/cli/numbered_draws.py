@@ -58,18 +58,18 @@ def run_missing(
         shared: whether a process runs several draws, since starting it takes as long as a draw.
     """
     left = [draw for draw in plan if not finished(draw)]
-    shares = [left[k::jobs] for k in range(min(jobs, len(left)))] if shared else [[draw] for draw in left]
+    parts = [left[k::jobs] for k in range(min(jobs, len(left)))] if shared else [[draw] for draw in left]
     children: set[subprocess.Popen[bytes]] = set()
 
-    def start(share: Sequence[D]) -> bool:
+    def start(part: Sequence[D]) -> bool:
         child = subprocess.Popen(
-            [sys.executable, "-m", *words(share)],
+            [sys.executable, "-m", *words(part)],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             env={**os.environ, "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "1")},
         )
         children.add(child)
-        said = f"{share[0].folder}: ended without a message"
+        said = f"{part[0].folder}: ended without a message"
         assert child.stderr is not None
         with child.stderr as lines:
             for line in lines:
@@ -85,14 +85,14 @@ def run_missing(
 
     pool = ThreadPoolExecutor(jobs)
     try:
-        done = [*pool.map(start, shares)]
+        done = [*pool.map(start, parts)]
     except BaseException:
         for child in children:
             child.terminate()
         raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
-    ended = [draw for share, well in zip(shares, done, strict=True) if not well for draw in share]
+    ended = [draw for part, well in zip(parts, done, strict=True) if not well for draw in part]
     return [draw for draw in ended if not finished(draw)]
 
 

@@ -65,8 +65,8 @@ def read_stream(arguments: list[str], usage: str) -> Stream:
     options, nodes, request = asked(arguments, usage)
     require_own_keys(options, nodes)
     run = load(request.source, request.ckpt)
-    if told := unfinished_training(run.folder):
-        warn_once(told)
+    if remark := unfinished_training(run.folder):
+        warn_once(remark)
     cfg = run_config(run.folder, with_filter(request, run))
     known = run.uncertainty is not None
     named = bool(nodes) or options.stations is not None
@@ -116,9 +116,9 @@ def with_filter(request: Request, run: Run) -> Request:
     """Add a default filter to a request if neither it nor the run names one."""
     if run.config.get("plugins") or any(text.startswith("plugins=") for text in request.overrides):
         return request
-    told = run.uncertainty is not None and run.uncertainty.least_observable is not None
+    measured = run.uncertainty is not None and run.uncertainty.least_observable is not None
     given = any(text.startswith("plugins.ukf.process_noise=") for text in request.overrides)
-    chosen = OF_MEASUREMENTS if told and not given else FILTER
+    chosen = OF_MEASUREMENTS if measured and not given else FILTER
     return request._replace(overrides=[chosen, *request.overrides])
 
 

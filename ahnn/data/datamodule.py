@@ -41,7 +41,7 @@ class Stages(Protocol):
         """Return the intervals per segment in an epoch; None: full trajectories."""
         ...
 
-    def stretches(self, epoch: int, epochs: int) -> int | None:
+    def segments_per_step(self, epoch: int, epochs: int) -> int | None:
         """Return the segments per step in an epoch; None: `data.batch_size`."""
         ...
 
@@ -218,7 +218,7 @@ class WindowDataModule(LightningDataModule):
             self._too_long.add(intervals)
             what = "loss.stages: no trajectory has %d intervals; that stage fits full trajectories (%d)"
             log.info(what, intervals, segments.intervals)
-        asked = self.stages.stretches(epoch, self.epochs) or self.batch_size
+        asked = self.stages.segments_per_step(epoch, self.epochs) or self.batch_size
         return segments, asked if intervals is None else min(asked, segments.covering)
 
     def transfer_batch_to_device(self, batch: Any, device: torch.device, dataloader_idx: int) -> Any:

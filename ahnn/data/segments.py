@@ -73,12 +73,12 @@ def whole(measured: Observations, instrument: Instrument) -> Segment:
     return segments.gather(torch.arange(len(segments)))
 
 
-def shortened(whole: Segment, share: int) -> Segment:
-    """Return segments of a fraction 1 / share of the length, which together contain about all measurements.
+def shortened(whole: Segment, divisor: int) -> Segment:
+    """Return segments of a fraction 1 / divisor of the length, which together contain about all measurements.
 
     They have at least SHORTEST intervals.
     """
-    intervals = max(whole.times.shape[1] // share, SHORTEST)
+    intervals = max(whole.times.shape[1] // divisor, SHORTEST)
     segments = Segments(Observations(whole.values, whole.times), intervals, whole.instrument)
     return segments.gather(torch.arange(0, len(segments), max(len(segments) // segments.covering, 1)))
 

@@ -127,7 +127,8 @@ class Sensor:
         values = observe(self.measurement, states, times)
         generator = torch.Generator().manual_seed((self.seed * 1_000_003 + part) % 2**63)
         draw: dict[str, Any] = {"generator": generator, "dtype": torch.float64}
-        values = values + torch.randn(values.shape, **draw) * self.deviations * self._stretch(values, part)
+        noise = torch.randn(values.shape, **draw) * self.deviations
+        values = values + noise * self._tail_factors(values, part)
         if self.unknown.bias_sd is not None:
             own = torch.Generator().manual_seed(self.seed)  # the same bias in all splits
             shape = self.unknown.bias_sd.shape
@@ -138,7 +139,7 @@ class Sensor:
         missing = torch.rand(values.shape[:2], **draw) < self.gaps
         return Observations(values.masked_fill(missing.unsqueeze(-1), torch.nan), times)
 
-    def _stretch(self, values: Tensor, part: int) -> Tensor | float:
+    def _tail_factors(self, values: Tensor, part: int) -> Tensor | float:
         """Return the factors that turn normal noise into Student's noise, in the shape of the values."""
         if self.freedom is None:
             return 1.0

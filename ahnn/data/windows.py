@@ -36,7 +36,7 @@ class Windows:
     def __init__(
         self, trajectories: Trajectories, steps: int, dtype: torch.dtype, window: int | None = None
     ) -> None:
-        firsts, lengths = stretches_of(trajectories)
+        firsts, lengths = segments_of(trajectories)
         counts = (lengths - steps).clamp(min=0)
         require_span(steps, int(lengths.max()) - 1 if len(lengths) else 0, window)
         self.ends = counts.cumsum(0)
@@ -142,18 +142,18 @@ def require_span(steps: int, longest: int, window: int | None = None) -> None:
     raise UserError(message)
 
 
-def stretches_of(trajectories: Trajectories) -> tuple[Tensor, Tensor]:
-    """Return the segments of all trajectories, found part by part; see `stretches`."""
+def segments_of(trajectories: Trajectories) -> tuple[Tensor, Tensor]:
+    """Return the segments of all trajectories, found part by part; see `segments`."""
     found, before = [], 0
     for part in trajectories.parts():
-        firsts, lengths = stretches(part.present)
+        firsts, lengths = segments(part.present)
         found.append((firsts + before, lengths))
         before += part.times.numel()
     firsts, lengths = zip(*found, strict=True)
     return torch.cat(firsts), torch.cat(lengths)
 
 
-def stretches(present: Tensor) -> tuple[Tensor, Tensor]:
+def segments(present: Tensor) -> tuple[Tensor, Tensor]:
     """Return the first row, in the flat samples, and the length of each run of samples without a gap.
 
     Args:

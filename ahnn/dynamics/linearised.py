@@ -20,7 +20,7 @@ from ahnn.dynamics.layered import Network
 
 REACH = 1e-3
 """Displacement of the finite difference, as a fraction of the step."""
-SHARES = (1.0, 0.5 / REACH, -0.5 / REACH)
+WEIGHTS = (1.0, 0.5 / REACH, -0.5 / REACH)
 """Output weights of the networks at theta, theta + REACH s and theta - REACH s."""
 
 
@@ -41,9 +41,9 @@ def linearised(dynamics: Dynamics, step: Tensor) -> tuple[Dynamics, Tensor] | No
     network = spec.get("network")
     if network is None:
         return None
-    wide = make_dynamics(**{**spec, "network": {**network, "width": len(SHARES) * network["width"]}})
+    wide = make_dynamics(**{**spec, "network": {**network, "width": len(WEIGHTS) * network["width"]}})
     theta = parameters_to_vector(dynamics.parameters()).detach()
-    moved = _side_by_side(dynamics, (theta, theta + REACH * step, theta - REACH * step), SHARES)
+    moved = _side_by_side(dynamics, (theta, theta + REACH * step, theta - REACH * step), WEIGHTS)
     if any(moved[name].shape != p.shape for name, p in wide.named_parameters()):
         return None  # parameters outside networks whose shape depends on the width
     wide.to(theta.dtype).load_state_dict({**dynamics.state_dict(), **moved})
@@ -69,7 +69,9 @@ def tangent(dynamics: Dynamics, wide: Dynamics, places: Tensor) -> Dynamics:
     return found
 
 
-def _side_by_side(dynamics: Dynamics, copies: Sequence[Tensor], shares: Sequence[float]) -> dict[str, Tensor]:
+def _side_by_side(
+    dynamics: Dynamics, copies: Sequence[Tensor], weights: Sequence[float]
+) -> dict[str, Tensor]:
     """Return the tensors, by name, of dynamics whose networks are weighted sums of the copies."""
     found, begin = dict[str, Tensor](), 0
     networks = [name for name, module in dynamics.named_modules() if isinstance(module, Network)]
@@ -77,7 +79,7 @@ def _side_by_side(dynamics: Dynamics, copies: Sequence[Tensor], shares: Sequence
         end = begin + parameter.numel()
         parts = [copy[begin:end].view_as(parameter) for copy in copies]
         own = next((name.removeprefix(f"{n}.") for n in networks if name.startswith(f"{n}.")), "")
-        scaled = [share * part for share, part in zip(shares, parts, strict=True)]
+        scaled = [weight * part for weight, part in zip(weights, parts, strict=True)]
         if own == "output.weight":
             found[name] = torch.cat(scaled, dim=1)
         elif isinstance(waves := dynamics.get_submodule(name.rpartition(".")[0]), Waves):

@@ -54,8 +54,8 @@ class Affine(nn.Module):
             return
         half = (maximum - minimum) / 2
         if self.kind == "block":
-            share = half / half.max()
-            half = torch.where((share > ROUNDING) & (share * UNEVEN < 1), half, half.max())
+            ratio = half / half.max()
+            half = torch.where((ratio > ROUNDING) & (ratio * UNEVEN < 1), half, half.max())
         if not bool((half > 0).all()):
             message = (
                 f"scaling {self.kind}: expected components that vary over the training split; "

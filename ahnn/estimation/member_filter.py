@@ -169,7 +169,7 @@ class MemberFilter(ABC, Generic[M]):
         if bool(row.isnan().all()):
             return state, Innovation.of_nothing(row)
         after, updated, rejected = self.updated(state, row, sensor)
-        return after, _told(state, after, row, updated, rejected)
+        return after, _of_update(state, after, row, updated, rejected)
 
     def run(
         self,
@@ -237,7 +237,7 @@ class MemberFilter(ABC, Generic[M]):
         return state
 
 
-def _told(
+def _of_update(
     before: MemberState, after: MemberState, y: Tensor, updated: Updated, rejected: Tensor
 ) -> Innovation:
     """Return the innovation of a row; NaN for members that failed at this row or before."""

@@ -58,11 +58,11 @@ def reopened(
     # Rows that are still too far away are rejected, since some filters would fail on them.
     wary, factor = estimator.gated(Gate(0.999999)), torch.ones_like(before.log_likelihood)
     for tried in count(1):
-        after, told = wary.update(widened(estimator, before, spread, factor), y, model, noise)
-        ratio = told.nis / told.measured
+        after, innovation = wary.update(widened(estimator, before, spread, factor), y, model, noise)
+        ratio = innovation.nis / innovation.measured
         far = ratio > USUAL  # excludes failed members, whose NIS is NaN
         if tried == TRIES or not bool(far.any()):
-            return after, told, after.alive & ~told.rejected & ~far & (told.measured > 0)
+            return after, innovation, after.alive & ~innovation.rejected & ~far & (innovation.measured > 0)
         factor = torch.where(far, factor * ratio, factor).clamp(max=WIDEST)
     raise AssertionError
 

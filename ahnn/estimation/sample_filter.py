@@ -128,13 +128,13 @@ class SampleFilter(MemberFilter[SampleState]):
         """Condition the state on a row (B, M); return state, update, and gate rejections, (B,) bool."""
         state = state._replace(updates=state.updates + 1)
         images = measured(sensor.measurement, state.points, float(state.time))
-        proposed, told = self.conditioned(state, images, y, sensor)
+        proposed, update = self.conditioned(state, images, y, sensor)
         if sensor.thresholds is not None:  # a rejected row may leave all samples with zero weight
-            refused = told.nis > sensor.thresholds[(~y.isnan()).sum(-1)]
-            belief = choose(refused, state.belief, told.belief)
-            told = told._replace(belief=belief, singular=told.singular & ~refused)
-        after, accepted, rejected = decided(state, told, y, sensor, Rounding())
-        return after.where(~accepted, proposed), told, rejected
+            refused = update.nis > sensor.thresholds[(~y.isnan()).sum(-1)]
+            belief = choose(refused, state.belief, update.belief)
+            update = update._replace(belief=belief, singular=update.singular & ~refused)
+        after, accepted, rejected = decided(state, update, y, sensor, Rounding())
+        return after.where(~accepted, proposed), update, rejected
 
 
 def image_deviations(

@@ -44,8 +44,8 @@ class StepRecord(NamedTuple):
         before, after = (Belief(*(part.unsqueeze(0) for part in belief)) for belief in (predicted, posterior))
         if updated is None or rejected is None:
             return cls(before, after, None, None, None, backward)
-        told = updated.innovation.unsqueeze(0), updated.nis.unsqueeze(0), rejected.unsqueeze(0)
-        return cls(before, after, *told, backward)
+        outcome = updated.innovation.unsqueeze(0), updated.nis.unsqueeze(0), rejected.unsqueeze(0)
+        return cls(before, after, *outcome, backward)
 
     @property
     def length(self) -> int:

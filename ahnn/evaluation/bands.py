@@ -62,9 +62,9 @@ class Band(NamedTuple):
 
     def verdict(self) -> str:
         """Return the finding on the bands for the verdict; "" with too few independent directions."""
-        told = self.test.verdict
-        found = f"prediction bands are {told}: errors are {self.test.scatter:.2f} standard deviations"
-        return "" if told == TOO_FEW else found
+        verdict = self.test.verdict
+        found = f"prediction bands are {verdict}: errors are {self.test.scatter:.2f} standard deviations"
+        return "" if verdict == TOO_FEW else found
 
     def numbers(self) -> dict[str, Any]:
         """Return plain values for metrics.json."""
@@ -120,9 +120,9 @@ def ranges(intervals: tuple[tuple[float, float], ...]) -> str:
     return " and ".join(f"{low:.2f} to {high:.2f}" for low, high in intervals)
 
 
-def percent(shares: tuple[float, ...]) -> str:
+def percent(fractions: tuple[float, ...]) -> str:
     """Format fractions in percent."""
-    return ", ".join(f"{100 * share:.3g}" for share in shares)
+    return ", ".join(f"{100 * fraction:.3g}" for fraction in fractions)
 
 
 def norms(values: Tensor, divisor: float | Tensor) -> tuple[float, float]:

@@ -121,13 +121,13 @@ def information_of(system: System, names: Sequence[str], start: Tensor, segment:
         segment: measurements; only the pattern of missing values is used.
     """
     gaps = segment.times.diff(dim=1).nan_to_num(0.0)  # no times exist beyond the end of a trajectory
-    told = informative(segment.instrument.freedom).weight(segment.instrument.deviations).sqrt()
+    root_weight = informative(segment.instrument.freedom).weight(segment.instrument.deviations).sqrt()
 
     def residuals(constants: Tensor, x: Tensor) -> Tensor:
         copies = len(x) // len(start)
         states = varied_rollout(system, names, constants, x, gaps.repeat(copies, 1))
         again = segment.rows(torch.arange(len(start)).repeat(copies))
-        return (again.white_residuals(states) * told).flatten(1)
+        return (again.white_residuals(states) * root_weight).flatten(1)
 
     of_constants, of_start = derivatives(residuals, constants_of(system, names), start)
     return information(of_constants, of_start)

@@ -106,8 +106,8 @@ class Forecast(NamedTuple):
 
     def numbers(self) -> dict[str, Any]:
         """Return plain values for metrics.json."""
-        told = "" if self.states is None else judged(self.states, self.right)
-        found = {"sigmas": list(SIGMAS), "of_normal_errors": list(NORMAL), **self._asdict(), "verdict": told}
+        word = "" if self.states is None else judged(self.states, self.right)
+        found = {"sigmas": list(SIGMAS), "of_normal_errors": list(NORMAL), **self._asdict(), "verdict": word}
         parts = {"linear": self.linear, "sampled": self.sampled}
         return found | {name: part._asdict() for name, part in parts.items() if part is not None}
 
@@ -141,15 +141,15 @@ def forecast(
     if not bool(met.any()):
         return None
     starts, early, first, part = begun.starts[met], early[met], first.rows(met), segment.rows(met)
-    freedom, told = part.instrument.freedom, informative(part.instrument.freedom)
+    freedom, loss = part.instrument.freedom, informative(part.instrument.freedom)
     states, steps = resolved_path(dynamics, starts, first, part)
-    here = linearised(trial_of(dynamics, told), states, part, steps)
+    here = linearised(trial_of(dynamics, loss), states, part, steps)
     later = ~early.unsqueeze(-1)
     there = later.expand_as(states[:, steps.ends])
     true = None if truth is None else at(truth, met, part.times)
     there = there if true is None else there & true.isfinite()
     causes = forecast_columns(dynamics, states, steps, here, early, spread, part.whitening)
-    of_state = here.of_state / told.weight(torch.ones_like(part.values)).sqrt().unsqueeze(-1)
+    of_state = here.of_state / loss.weight(torch.ones_like(part.values)).sqrt().unsqueeze(-1)
     begin = max(int(early.sum(1).min()) - 1, 0)
     variances = Variances.of(causes, of_state, there, spread.shape[1], begin)
     beyond = interval_nonlinearity(dynamics, states, steps, variances) > LINEAR
@@ -165,7 +165,7 @@ def forecast(
     width, off = total[ahead], errors(part, states[:, steps.ends], variances.values)[ahead]
     counted = ~(off.abs() > OUTLYING) | (robust == "none" or freedom is not None)
     return Forecast(
-        coverage=shares(off[counted]),
+        coverage=fractions(off[counted]),
         width=float(width[counted].nanmean().sqrt()),
         parameters=float((variances.parameters / variances.states)[ahead.any(-1)].nanmean()),
         right=middle(variances.within / int(there.sum())),
@@ -194,9 +194,9 @@ def true_coverages(off: Tensor, there: Tensor, beyond: Tensor, early: Tensor) ->
     """
     known = after_parts(off, early)
     return {
-        "states": shares(off[there]),
+        "states": fractions(off[there]),
         "single": tuple(tuple(row) for row in known[0].tolist()),
-        "parts": tuple(shares(row[row.isfinite()]) for row in known.unbind(1)),
+        "parts": tuple(fractions(row[row.isfinite()]) for row in known.unbind(1)),
         "linear": partial(off, there & ~beyond.unsqueeze(-1), early),
     }
 
@@ -222,25 +222,25 @@ def partial(off: Tensor, counted: Tensor, early: Tensor) -> PartialCoverage:
     """
     rows = after_parts(off.masked_fill(~counted, torch.nan), early).unbind(1)
     found = [row[row.isfinite()] for row in (off[counted], *rows)]
-    every, *parts = [shares(row) if len(row) else None for row in found]
+    every, *parts = [fractions(row) if len(row) else None for row in found]
     return PartialCoverage(every, tuple(parts))
 
 
-def right_bands(shares: tuple[float, ...], right: tuple[tuple[float, float], ...]) -> str:
+def right_bands(fractions: tuple[float, ...], right: tuple[tuple[float, float], ...]) -> str:
     """Format the coverage of calibrated bands and the conclusion; only the latter if it is undecided."""
-    verdict = judged(shares, right)
+    verdict = judged(fractions, right)
     if verdict == TOO_FEW:
         return verdict
     ends = ", ".join(f"{100 * low:.3g} to {100 * high:.3g}" for low, high in right)
     return f"calibrated bands {ends} % in 19 of 20 draws: {verdict}"
 
 
-def judged(shares: tuple[float, ...], right: tuple[tuple[float, float], ...]) -> str:
+def judged(fractions: tuple[float, ...], right: tuple[tuple[float, float], ...]) -> str:
     """Return a verdict on the coverage within 2 sigma; undecided if half the width would also pass."""
     low, high = right[1]
     if low <= NORMAL[0]:
         return TOO_FEW
-    return "too narrow" if shares[1] < low else "too wide" if shares[1] > high else "right"
+    return "too narrow" if fractions[1] < low else "too wide" if fractions[1] > high else "right"
 
 
 def first_part(segment: Segment, fraction: float) -> Tensor:
@@ -292,6 +292,6 @@ def at(truth: Trajectories, rows: Tensor, times: Tensor) -> Tensor:
     return states.masked_fill(~same.unsqueeze(-1), torch.nan)
 
 
-def shares(off: Tensor) -> tuple[float, ...]:
+def fractions(off: Tensor) -> tuple[float, ...]:
     """Return the fractions of normalised errors within 1, 2 and 3; NaN counts as outside."""
     return tuple(float((off.abs() <= k).double().mean()) for k in SIGMAS)

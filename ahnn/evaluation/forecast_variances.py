@@ -90,7 +90,9 @@ def held(off: Tensor, sd: Tensor) -> Tensor:
     return torch.stack([(off.abs() <= k * sd).sum(0) for k in SIGMAS])
 
 
-def middle(shares: Tensor) -> tuple[tuple[float, float], ...]:
+def middle(fractions: Tensor) -> tuple[tuple[float, float], ...]:
     """Return the ends of the middle 95 % of fractions (3, DRAWS)."""
     ends = torch.tensor([(1 - MIDDLE) / 2, (1 + MIDDLE) / 2], dtype=torch.float64)
-    return tuple((float(low), float(high)) for low, high in torch.quantile(shares.double(), ends, dim=1).mT)
+    return tuple(
+        (float(low), float(high)) for low, high in torch.quantile(fractions.double(), ends, dim=1).mT
+    )

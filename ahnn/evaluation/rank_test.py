@@ -98,9 +98,9 @@ def partial_lines(scores: Sequence[Score]) -> list[str]:
     """
     if not any(one["forecast"].get("nonlinear") for one in scores):
         return []
-    share = 1 - sum(one["forecast"].get("nonlinear", 0.0) for one in scores) / len(scores)
+    fraction = 1 - sum(one["forecast"].get("nonlinear", 0.0) for one in scores) / len(scores)
     titles = {
-        "linear": f"where errors propagate linearly ({in_percent(share)} of the forecast states):",
+        "linear": f"where errors propagate linearly ({in_percent(fraction)} of the forecast states):",
         "sampled": "with sampled paths where they do not:",
     }
     lines = []
@@ -115,8 +115,8 @@ def part_lines(scores: Sequence[Mapping[str, Any]]) -> list[str]:
     rows = {"forecasts": [one["states"] for one in scores]}
     rows |= {f"forecasts at {when}": [one["parts"][k] for one in scores] for k, when in enumerate(PARTS)}
     lines = []
-    for name, shares in rows.items():
-        found = [share for share in shares if share is not None]
+    for name, fractions in rows.items():
+        found = [fraction for fraction in fractions if fraction is not None]
         line = f"{share_line(found)}, {len(found)} draws" if found else "none"
         lines.append(f"  {name:<26}{line}")
     return lines
@@ -126,8 +126,8 @@ def share_line(rows: Sequence[Sequence[float]]) -> str:
     """Format the means of fractions (N, 3), and the standard error of the mean within 2 sigma."""
     means = [sum(column) / len(rows) for column in zip(*rows, strict=True)]
     squares = sum((row[1] - means[1]) ** 2 for row in rows) / max(len(rows) - 1, 1)
-    shares = ", ".join(f"{100 * mean:.1f}" for mean in means)
-    return f"{shares} %, standard error {100 * (squares / len(rows)) ** 0.5:.1f} % within 2 sigma"
+    fractions = ", ".join(f"{100 * mean:.1f}" for mean in means)
+    return f"{fractions} %, standard error {100 * (squares / len(rows)) ** 0.5:.1f} % within 2 sigma"
 
 
 def rank_figure(scores: Sequence[Score]) -> Figure:

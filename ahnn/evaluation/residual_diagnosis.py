@@ -74,13 +74,13 @@ def verdicts(found: ResidualTests, names: tuple[str, ...], interval: float, robu
     pairs = found.pairs.clamp(min=1)
     coloured = found.correlation > (SURE / pairs.sqrt()).clamp(min=COLOURED)
     if bool((found.explained > torch.where(coloured, EXPLAINED, 2 * EXPLAINED)).any()):
-        share = in_percent(float(found.explained.clamp(min=0).max()))
+        fraction = in_percent(float(found.explained.clamp(min=0).max()))
         larger = _sizes(
             found.scale.clamp(max=1), names
         )  # wrong dynamics increase residuals beyond the noise, never decrease them
         return [
             *larger,
-            f"{share} of the residual variance depends on the state: the model misses part of the motion",
+            f"{fraction} of the residual variance depends on the state: the model misses part of the motion",
         ]
     said = [f"{size} (data.noise=estimate finds it)" for size in _sizes(found.scale, names)]
     if bool(coloured.any()):
@@ -96,7 +96,7 @@ def verdicts(found: ResidualTests, names: tuple[str, ...], interval: float, robu
 
 
 def _listed(entries: Iterable[tuple[str, float, bool]]) -> str:
-    return ", ".join(f"{name} {value:+.2g}" for name, value, told in entries if told)
+    return ", ".join(f"{name} {value:+.2g}" for name, value, significant in entries if significant)
 
 
 def _sizes(scales: Tensor, names: tuple[str, ...]) -> list[str]:

@@ -54,10 +54,10 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
     for name, plugin in plugins.items():
         add_plugin(case, name, plugin, findings, figures=figures)
     noisy = case.fitted is not None
-    told = verdict(value, findings.faults, findings.highlights, noisy=noisy, caveat=case.caveat)
-    if case.caveat in told:
+    sentences = verdict(value, findings.faults, findings.highlights, noisy=noisy, caveat=case.caveat)
+    if case.caveat in sentences:
         findings.tell(case.caveat)
-    findings.numbers["verdict"] = {"findings": told}
+    findings.numbers["verdict"] = {"findings": sentences}
     return findings
 
 
@@ -174,8 +174,8 @@ def add_constants(case: Case, findings: Findings) -> None:
     flow: Any = case.flow
     if isinstance(flow, nn.Module) and (found := learned_constants(cast(Any, flow), spread)):
         units = {one.name: constant_unit(one.name, case.space) for one in found}
-        told = (" ".join(filter(None, (str(one), units[one.name]))) for one in found)
-        findings.tell(f"learned: {', '.join(told)}", findings.highlights)
+        values = (" ".join(filter(None, (str(one), units[one.name]))) for one in found)
+        findings.tell(f"learned: {', '.join(values)}", findings.highlights)
         findings.numbers["constants"] = {one.name: one.numbers() for one in found}
         if known := {name: unit for name, unit in units.items() if unit}:
             findings.numbers["constant_units"] = known

@@ -47,8 +47,8 @@ def results_table(results: Results, *, detail: bool = False) -> str:
     parts = [*_wrapped(head), "", *_columns(lines, results), "", *_explanations(results)]
     verdict = results.numbers.get("verdict", {}).get("findings", [])
     if verdict:
-        told = verdict[:1] if detail else verdict
-        parts += ["", *(line for one in told for line in _wrapped(one, hanging=True))]
+        shown = verdict[:1] if detail else verdict
+        parts += ["", *(line for one in shown for line in _wrapped(one, hanging=True))]
     if detail or not verdict:
         head = verdict[0] if verdict else ""
         for row in results.rows:

@@ -75,9 +75,9 @@ def assimilate(stream: Stream) -> None:
         log.warning(remark)
     for name, sensor in filtering.sensors.items():
         own = zip(sensor.columns, sensor.measurement.units, filtering.biases.get(name, ()), strict=False)
-        told = [f"{column} {b:.4g} ± {sd:.2g} {unit}" for column, unit, (b, sd) in own if sd > 0.0]
-        if told:
-            log.info("bias of %s: %s", name, ", ".join(told))
+        biases = [f"{column} {b:.4g} ± {sd:.2g} {unit}" for column, unit, (b, sd) in own if sd > 0.0]
+        if biases:
+            log.info("bias of %s: %s", name, ", ".join(biases))
     if followed is not None:
         log.info("%s", "\n".join(followed.lines(filtering.window.state.moments, filtering.window.time)))
     _pictures(stream)
@@ -99,9 +99,9 @@ def _of_novelty(stream: Stream, filtering: Assimilation) -> str | None:
 def told_to(watchers: Sequence[Watcher]) -> Watcher:
     """Return a watcher that notifies several watchers."""
 
-    def tell(*told: Any) -> None:
+    def tell(*values: Any) -> None:
         for one in watchers:
-            one(*told)
+            one(*values)
 
     return tell
 

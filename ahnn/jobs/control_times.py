@@ -102,5 +102,5 @@ def control_names(run: Run) -> tuple[str, ...]:
 def warn_of_the_end(given: Controls, table: ControlTable, time: float, near: float = 0.0) -> None:
     """Warn if the last controls of a file are held beyond its end."""
     if isinstance(given, str) and table.times[-1] < time - near:
-        told = given, float(table.times[-1]), time
-        log.warning("controls: the last values of %s, at %g, are held until the end, at %g", *told)
+        values = given, float(table.times[-1]), time
+        log.warning("controls: the last values of %s, at %g, are held until the end, at %g", *values)

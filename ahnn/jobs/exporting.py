@@ -28,7 +28,7 @@ def export(asked: ExportRequest) -> None:
         UserError: a missing run, one that cannot be exported, or an existing folder.
     """
     (run,) = named_runs(asked.run, asked.pretrained, asked.ckpt)
-    if told := unfinished_training(run.folder):
-        warn_once(told)
+    if remark := unfinished_training(run.folder):
+        warn_once(remark)
     files = write_export(run, Path(asked.output))
     show(f"{run.folder.name}: {', '.join(files)} in {asked.output}")

@@ -111,17 +111,17 @@ def fitted_start(
     best = best_fit(run, segment)
     outliers, last = int(segment.measured - best.segment.measured), best.path.states[:, -1]
     chi_square = float(best.path.sums) / max(int(best.segment.measured) - size, 1)
-    told = f"chi-square {chi_square:.3g} per degree of freedom, {outliers} outliers"
+    quality = f"chi-square {chi_square:.3g} per degree of freedom, {outliers} outliers"
     if not (chi_square <= LOST and outliers <= MOST * int(segment.measured)):
         message = (
-            f"start: expected a state that fits the first {len(lines)} measurements; received none: {told}. "
-            "Fit fewer with fitted=N, or set start="
+            f"start: expected a state that fits the first {len(lines)} measurements; received none: "
+            f"{quality}. Fit fewer with fitted=N, or set start="
         )
         raise TrainingError(message)
     covariance = max(1.0, chi_square) * covariance_of(run, best, bias_sd)
     log.info(
         "start: fitted to the first %d measurements, up to line %d (%s): %s; the filter continues after them",
-        *(len(lines), lines[-1][0], told, said(last[0], covariance, run.space)),
+        *(len(lines), lines[-1][0], quality, said(last[0], covariance, run.space)),
     )
     start = Starts(numbered(1), last, segment.times[:, -1], covariances=covariance[None])
     return FittedStart(start, lines[-1][0])

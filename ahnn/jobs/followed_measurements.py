@@ -27,14 +27,14 @@ class FollowedMeasurements:
         rows: mask of the filtered measurements, (N,) bool.
         names: names of all estimated components.
         beside: function of the final mean and time that returns further lines to report.
-        told: times, innovations and their standard deviations, by station and kind.
+        innovations: times, innovations and their standard deviations, by station and kind.
     """
 
     data: TrackingData
     rows: NDArray[np.bool_]
     names: tuple[str, ...]
     beside: Callable[[NDArray[np.float64], float], list[str]]
-    told: dict[tuple[int, int], list[tuple[float, float, float]]] = field(default_factory=dict)
+    innovations: dict[tuple[int, int], list[tuple[float, float, float]]] = field(default_factory=dict)
 
     @property
     def content(self) -> bytes:
@@ -61,18 +61,18 @@ class FollowedMeasurements:
         if estimate.innovation is None or estimate.outcome != "taken":
             return
         station = self.data.stations.index(reading.sensor)
-        told = estimate.innovation.residual[0].tolist(), estimate.innovation.deviation[0].tolist()
-        for kind, e, sd in zip(self.kinds(station), *told, strict=True):
+        innovation = estimate.innovation.residual[0].tolist(), estimate.innovation.deviation[0].tolist()
+        for kind, e, sd in zip(self.kinds(station), *innovation, strict=True):
             if e == e:
-                self.told.setdefault((station, kind), []).append((reading.time, e, sd))
+                self.innovations.setdefault((station, kind), []).append((reading.time, e, sd))
 
     def lines(self, moments: Belief, time: float) -> list[str]:
         """Return a table of innovations and biases, and the final parameters of known forces."""
         mean, deviations = moments.mean[0].tolist(), moments.chol[0].norm(dim=-1).tolist()
         known = {name: (mean[k], deviations[k]) for k, name in enumerate(self.names)}
         rows = []
-        for (station, kind), told in sorted(self.told.items()):
-            t, e, sd = np.array(told).T
+        for (station, kind), series in sorted(self.innovations.items()):
+            t, e, sd = np.array(series).T
             name = self.data.stations[station]
             bias = known.get(f"bias {name} {KINDS[kind]}", (np.nan, np.nan))
             numbers = len(e), float(e.mean()), float(e.std()), trend_of(t, e), correlation_of(e)

@@ -96,8 +96,8 @@ def plan(asked: PlanRequest) -> None:
         UserError: a missing run, invalid starts, stations or durations, or nothing to choose from.
     """
     (run,) = named_runs(asked.run, asked.pretrained, asked.ckpt)
-    if told := unfinished_training(run.folder):
-        warn_once(told)
+    if remark := unfinished_training(run.folder):
+        warn_once(remark)
     if asked.output is not None:
         require_own([Path(asked.output)], "output")
     begin = asked_starts(asked.start, asked.start_sd, asked.epoch, asked.frame, run.space)

@@ -69,10 +69,12 @@ def predict_block(block: StartBlock) -> Prediction:
     controls = block.moments.controls
     found = []
     for run in _loaded(block.runs, block.pretrained, block.ckpt):
-        told = f"predicting with {run.folder.name}" if block.is_only else None
+        description = f"predicting with {run.folder.name}" if block.is_only else None
         asked = {"controls": controls and controls.values, "linear": controls is not None and controls.linear}
         known, asked["samples"] = block.covariances, block.samples
-        found.append(run.predict(block.states, block.moments.times, told, start_covariance=known, **asked))
+        found.append(
+            run.predict(block.states, block.moments.times, description, start_covariance=known, **asked)
+        )
     return together(found)
 
 

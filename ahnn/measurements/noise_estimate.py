@@ -158,13 +158,13 @@ class NoiseEstimate:
             for one in zip(names, units, self.bias, self.bias_sd, self.prior_sd, strict=True)
             if one[4] > 0
         ]
-        told = [
+        biases = [
             f"{name} {bias:+.3g} ± {sd:.2g} {unit}"
             for name, unit, bias, sd, first in found
             if sd < TOLD * first
         ]
         open_ = [name for name, _, _, sd, first in found if sd >= TOLD * first]
-        said = [f"biases of the readings, estimated with the dynamics: {', '.join(told)}"] if told else []
+        said = [f"biases of the readings, estimated with the dynamics: {', '.join(biases)}"] if biases else []
         if open_:
             said.append(
                 f"the bias of {', '.join(open_)} cannot be separated from the motion: the learned "

@@ -161,9 +161,9 @@ def _followed(
     cells = start.numel() * max(paths.known.columns, 1) * (4 if paths.quartered else 1)
     lengths = steps.lengths[0]
     fewest = -(-len(lengths) // INTERVALS) if paths.known.columns else len(lengths)
-    stretch = max(1, min(int(CELLS // cells), TOGETHER // len(start), fewest))
+    size = max(1, min(int(CELLS // cells), TOGETHER // len(start), fewest))
     along = None if clock is None else clock.along(lengths, steps.ends)
-    parts = list(torch.arange(len(lengths)).split(stretch))
+    parts = list(torch.arange(len(lengths)).split(size))
     every = -(-len(parts) // INTERVALS)
     rows, nodes = [paths.begin(start)], [(paths.x, paths.moved)]
     for k, part in enumerate(track(parts, description, len(parts)) if description else parts, start=1):
@@ -173,13 +173,13 @@ def _followed(
             nodes.append((paths.x, paths.moved))
     if paths.factors or not paths.known.columns:
         return PathRows.joined(rows), None
-    between = torch.arange(len(lengths)).split(stretch * every)
+    between = torch.arange(len(lengths)).split(size * every)
 
     def flow(k: int, x: Tensor) -> Tensor:
         return paths.end(x, lengths[between[k]], None if along is None else along.steps(between[k]))
 
     index = node_nonlinearity(flow, *(torch.stack(column, dim=1) for column in zip(*nodes, strict=True)))
-    return PathRows.joined(rows), index[:, -(-steps.ends // (stretch * every))]
+    return PathRows.joined(rows), index[:, -(-steps.ends // (size * every))]
 
 
 def node_nonlinearity(flow: IntervalFlow, states: Tensor, columns: Tensor) -> Tensor:

@@ -32,7 +32,7 @@ class Steps(NamedTuple):
     quartered: bool = False
 
     @property
-    def shares(self) -> list[tuple[float, float]]:
+    def weights(self) -> list[tuple[float, float]]:
         """Quadrature weights at the beginning and end of each step, as fractions of its length; N pairs."""
         rule = [(1 / 3, 2 / 3), (2 / 3, 1 / 3)] if self.quartered else [(0.5, 0.5)]
         return rule * (self.lengths.shape[1] // len(rule))
@@ -117,7 +117,7 @@ def sensitivities(jacobians: Tensor, forcing: Tensor, steps: Steps, first: Tenso
     current = forcing.new_zeros(rows, size, forcing.shape[-1]) if first is None else first
     measured = set(steps.ends.tolist())
     wanted = [current] if 0 in measured else []
-    for k, (before, after) in enumerate(steps.shares):
+    for k, (before, after) in enumerate(steps.weights):
         dt = steps.lengths[:, k, None, None].to(forcing)
         kicked = current.clone()
         kicked[:, driven].addcmul_(before * dt, forcing[:, k])
@@ -142,7 +142,7 @@ def adjoints(jacobians: Tensor, pulls: Tensor, steps: Steps) -> Tensor:
     at = dict(zip(steps.ends.tolist(), pulls.unbind(1), strict=True))
     last = steps.lengths.shape[1]
     pull = at[last]
-    for k, (before, after) in reversed([*enumerate(steps.shares)]):
+    for k, (before, after) in reversed([*enumerate(steps.weights)]):
         dt = steps.lengths[:, k, None]
         found[:, k + 1] += after * dt * pull
         pull = (pull.unsqueeze(1) @ jacobians[:, k]).squeeze(1)

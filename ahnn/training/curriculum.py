@@ -82,13 +82,13 @@ class Phase(NamedTuple):
     Attributes:
         until: fraction of the epochs at which it ends.
         objective: objective minimised in the phase.
-        stretches: number of segments per step; None for the batch size of the data.
+        segments_per_step: number of segments per step; None for the batch size of the data.
         left: minimum number of epochs for later phases.
     """
 
     until: float
     objective: Objective
-    stretches: int | None = None
+    segments_per_step: int | None = None
     left: int = 0
 
 
@@ -116,9 +116,9 @@ class Curriculum:
         """Return the number of intervals per segment in an epoch; None: full trajectories."""
         return cast(Shooting | Weak, self.at(epoch, epochs)).intervals
 
-    def stretches(self, epoch: int, epochs: int) -> int | None:
+    def segments_per_step(self, epoch: int, epochs: int) -> int | None:
         """Return the number of segments per step in an epoch; None for the default of the data."""
-        return self._phase(epoch, epochs).stretches
+        return self._phase(epoch, epochs).segments_per_step
 
     def _phase(self, epoch: int, epochs: int) -> Phase:
         ends = (min(phase.until * epochs, epochs - phase.left) for phase in self.phases)

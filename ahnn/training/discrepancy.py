@@ -24,7 +24,7 @@ HALVINGS = 40
 """Number of bisections of the logarithm of the relative error."""
 
 
-def share(residuals: Tensor, effects: Tensor, noise: Tensor, there: Tensor) -> float:
+def relative_error(residuals: Tensor, effects: Tensor, noise: Tensor, there: Tensor) -> float:
     """Return e >= 0 for which half of the residuals are within `MEDIAN` deviations.
 
     Args:

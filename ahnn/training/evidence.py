@@ -82,8 +82,8 @@ def by_evidence(matrix: Tensor, theta: Tensor, sizes: Sequence[int]) -> Prior:
     known = squares > 0
     for _ in range(ROUNDS):
         gamma = determined(posterior_factor(matrix, prior), prior)
-        told = known & (gamma > NOTHING * torch.tensor(list(sizes)))
-        wanted = torch.where(told, gamma / squares.clamp(min=torch.finfo(squares.dtype).tiny), BEGIN)
+        informed = known & (gamma > NOTHING * torch.tensor(list(sizes)))
+        wanted = torch.where(informed, gamma / squares.clamp(min=torch.finfo(squares.dtype).tiny), BEGIN)
         # The iteration alpha -> gamma(alpha) / |theta|^2 has a slope between -1 and 0, so averaging its
         # result with alpha prevents oscillation.
         settled = bool(((wanted / prior.strengths).log().abs() <= SETTLED).all())

@@ -116,6 +116,6 @@ def mixed(places: Sequence[PosteriorPoint]) -> Tensor:
     if others:
         moves = torch.stack([place.theta - last.theta for place in others], dim=1)
         changes = torch.stack([place.pull - last.pull for place in others], dim=1)
-        shares = torch.linalg.lstsq(changes, -pull.unsqueeze(1)).solution.squeeze(1)
-        theta, pull = theta + moves @ shares, pull + changes @ shares
+        weights = torch.linalg.lstsq(changes, -pull.unsqueeze(1)).solution.squeeze(1)
+        theta, pull = theta + moves @ weights, pull + changes @ weights
     return theta - last.factor @ pull

@@ -50,7 +50,7 @@ DAMPING = 1e-6
 """Initial damping: float32 training determines directions only to a millionth of the best observable ones."""
 FURTHER = 10
 """Maximum number of further steps of each kind if the training would otherwise end before its optimum."""
-SHARES = (8, 4, 2)
+DIVISORS = (8, 4, 2)
 """Divisors of the trajectories' length for their segments, on which inaccurate paths stay near the data."""
 BETTER = ("remaining", 1.0), ("chi_square", 1.1)
 """Maximum ratios of their result to that without them."""
@@ -99,8 +99,8 @@ def _continued(
     """
     log.info("the training has not reached its optimum: further steps follow, first on short segments")
     before = parameters_to_vector(dynamics.parameters())
-    for share in SHARES:
-        _, here, gained = approached(dynamics, shortened(train, share), FURTHER, robust, enough=1.0)
+    for divisor in DIVISORS:
+        _, here, gained = approached(dynamics, shortened(train, divisor), FURTHER, robust, enough=1.0)
         if here is None or min(here.remaining, gained) > here.determined:
             steps = 0  # even short segments are not fitted
             break
@@ -283,8 +283,8 @@ def held_out_scale(factor: Tensor, test: Equations, noise: float, scatter: float
     """
     if not test.blocks:
         return 1.0
-    told = factor.mT @ test.blocks[0].matrix @ factor
-    expected, squares = float(told.diagonal().sum()), float(told.square().sum())
+    predicted = factor.mT @ test.blocks[0].matrix @ factor
+    expected, squares = float(predicted.diagonal().sum()), float(predicted.square().sum())
     excess = float(test.loss) - test.degrees * noise
     beyond = excess**2 - REFUSED**2 * test.degrees * scatter
     if excess <= 0 or beyond <= 0:

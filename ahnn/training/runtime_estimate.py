@@ -23,7 +23,7 @@ TRIALS = 3
 """Maximum number of timed steps."""
 ENOUGH = 0.25
 """Total duration of timed steps that suffices, in seconds: of longer steps only one is timed."""
-LONG, SHARES = 0.5, (1 / 8, 1 / 4)
+LONG, FRACTIONS = 0.5, (1 / 8, 1 / 4)
 """Seconds of a step on the first of these fractions of a batch above which whole batches are not timed."""
 REFITTED = 0.5
 """Relative cost of a step that starts from previously fitted initial states."""
@@ -111,8 +111,8 @@ def _validation_seconds(model: Any, data: WindowDataModule) -> float:
     draw = loader.batches()[0]
 
     @torch.no_grad()
-    def validation(share: float) -> None:
-        model.curriculum.judge.validation(model.dynamics, loader.gather(_part(draw, share)))
+    def validation(fraction: float) -> None:
+        model.curriculum.judge.validation(model.dynamics, loader.gather(_part(draw, fraction)))
 
     return len(loader) * _of_whole(validation)
 
@@ -125,8 +125,8 @@ def step_seconds(model: Any, data: WindowDataModule, objective: Objective) -> fl
     loader = data.train_dataloader()
     draws = itertools.cycle(loader.batches()[: TRIALS + 1])
 
-    def step(share: float) -> None:
-        batch = loader.gather(_part(next(draws), share))
+    def step(fraction: float) -> None:
+        batch = loader.gather(_part(next(draws), fraction))
         loss = stepper.step(objective, model.loss, dynamics, batch, optimizer)
         if stepper.automatic:
             optimizer.zero_grad()
@@ -139,14 +139,14 @@ def step_seconds(model: Any, data: WindowDataModule, objective: Objective) -> fl
     return _of_whole(step, TRIALS)
 
 
-def _part(draw: torch.Tensor, share: float) -> torch.Tensor:
+def _part(draw: torch.Tensor, fraction: float) -> torch.Tensor:
     """Return the first indices of a batch."""
-    return draw[: math.ceil(len(draw) * share)]
+    return draw[: math.ceil(len(draw) * fraction)]
 
 
 def _of_whole(work: Callable[[float], Any], repeats: int = 1) -> float:
     """Return the duration of work on a whole batch; if it is long, extrapolate it from two fractions."""
-    small, large = SHARES
+    small, large = FRACTIONS
     first = _median(lambda: work(small))
     if first < LONG:
         return _median(lambda: work(1.0), repeats)

@@ -246,8 +246,8 @@ class ShootingProblem:
         here, now = self._linearised(theta)
         weight = self.robust.weight(segment.white_residuals(here.states[:, steps.ends])).sqrt()
 
-        def rows(share: float, from_starts: Tensor) -> Tensor:
-            trial = self.trial(theta + share * step)
+        def rows(fraction: float, from_starts: Tensor) -> Tensor:
+            trial = self.trial(theta + fraction * step)
             measured = path(trial.exact, from_starts, steps.lengths)[:, steps.ends]
             return (segment.white_residuals(measured) * weight).flatten(1)
 

@@ -31,7 +31,7 @@ from ahnn.jacobians import TOGETHER, pointwise_jacobian
 from ahnn.measurements import Segment
 from ahnn.shooting.robust import ROBUST, Robust, RobustName
 from ahnn.training.banded import BandedFactor
-from ahnn.training.discrepancy import share
+from ahnn.training.discrepancy import relative_error
 from ahnn.training.equation_of_motion import equation_of_motion
 from ahnn.training.normal_equations import Equations, ResidualRows, accumulated
 from ahnn.training.weak_test_functions import bumps, integrated
@@ -144,7 +144,7 @@ class WeakProblem:
         missed = []
         for residual, effect, variance in zip(sums, effects, noise.chunk(kinds, -1), strict=True):
             square = effect.square().mean(-1, keepdim=True).expand_as(residual)
-            missed.append(share(residual, square, variance, self.tests.there) ** 2 * square)
+            missed.append(relative_error(residual, square, variance, self.tests.there) ** 2 * square)
         return torch.cat(missed, -1)
 
     def _rates(self, part: slice) -> Tensor:

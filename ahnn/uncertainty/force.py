@@ -55,5 +55,5 @@ def force_deviation(dynamics: nn.Module, spread: Tensor, states: Tensor) -> Call
 def _axes(rows: Tensor) -> Tensor:
     """Return the principal directions (R, K) of rows (N, R)."""
     _, sizes, axes = torch.linalg.svd(rows, full_matrices=False)
-    shares = sizes.square().cumsum(0) / sizes.square().sum()
-    return axes[: int((shares < KEPT).sum()) + 1].mT
+    fractions = sizes.square().cumsum(0) / sizes.square().sum()
+    return axes[: int((fractions < KEPT).sum()) + 1].mT

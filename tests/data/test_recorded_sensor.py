@@ -102,15 +102,15 @@ def test_noise_is_remarked_upon_unless_the_training_takes_it_into_account(tmp_pa
 
 
 @pytest.mark.parametrize(("per_epoch", "steps"), [(None, 1), (3, 1), (4, 1), (9, 2), (12, 3)])
-def test_stages_are_handed_out_as_stretches_that_grow(tmp_path, per_epoch, steps):
-    """As many steps as windows would make, each of the stretches of a stage or of the batch size."""
+def test_stages_are_handed_out_as_segments_that_grow(tmp_path, per_epoch, steps):
+    """As many steps as windows would make, each of the segments of a stage or of the batch size."""
     system = dataclasses.replace(SPRING, steps=40)
     simulated = Simulated(system, trajectories=10, seed=0, cache=str(tmp_path))
     sensor = Sensor(simulated.space, measured="state", noise=0.01)
     data = module(simulated, sensor, batch_size=4, windows_per_epoch=per_epoch, val_windows=1)
     stages = SimpleNamespace(
         intervals=lambda epoch, epochs: 5 if epoch < epochs - 1 else None,
-        stretches=lambda epoch, _: 3 if epoch == 1 else None,
+        segments_per_step=lambda epoch, _: 3 if epoch == 1 else None,
     )
     data.follow(stages, 3)
     loader, shapes = data.train_dataloader(), []
@@ -122,14 +122,15 @@ def test_stages_are_handed_out_as_stretches_that_grow(tmp_path, per_epoch, steps
     assert torch.equal(judged.values, data.trajectories("val").states[:1])
 
 
-def test_a_step_takes_no_more_stretches_than_hold_all_that_was_measured(tmp_path):
+def test_a_step_takes_no_more_segments_than_hold_all_that_was_measured(tmp_path):
     """Trajectories of 41 measurements, a tenth of them missing; a stage on whole ones at the end."""
     system = dataclasses.replace(SPRING, steps=40)
     simulated = Simulated(system, trajectories=10, seed=0, cache=str(tmp_path))
     sensor = Sensor(simulated.space, measured="state", noise=0.01, gaps=0.1)
     data = module(simulated, sensor, batch_size=500)
     stages = SimpleNamespace(
-        intervals=lambda epoch, _: (5, 20, None)[epoch], stretches=lambda epoch, _: 50 if epoch else None
+        intervals=lambda epoch, _: (5, 20, None)[epoch],
+        segments_per_step=lambda epoch, _: 50 if epoch else None,
     )
     data.follow(stages, 3)
     measured, rows = int(data.trajectories("train").present.sum()), len(data.trajectories("train").times)
@@ -142,7 +143,9 @@ def test_a_step_takes_no_more_stretches_than_hold_all_that_was_measured(tmp_path
 def test_a_stage_longer_than_all_trajectories_fits_them_whole_and_says_so_once(tmp_path, caplog):
     simulated = Simulated(dataclasses.replace(SPRING, steps=40), trajectories=10, seed=0, cache=str(tmp_path))
     data = module(simulated, Sensor(simulated.space, measured="state", noise=0.01), batch_size=4)
-    stages = SimpleNamespace(intervals=lambda epoch, _: (5, 64, 5, 64)[epoch], stretches=lambda *_: None)
+    stages = SimpleNamespace(
+        intervals=lambda epoch, _: (5, 64, 5, 64)[epoch], segments_per_step=lambda *_: None
+    )
     data.follow(stages, 4)
     with caplog.at_level("INFO", logger="ahnn"):
         assert [data._stage(epoch)[0].intervals for epoch in range(4)] == [5, 40, 5, 40]

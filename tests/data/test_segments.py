@@ -19,7 +19,7 @@ def measured(rows=3, samples=12):
     return Observations(values, torch.arange(float(samples)).double().expand(rows, -1))
 
 
-def test_all_stretches_of_a_length():
+def test_all_segments_of_a_length():
     segments = Segments(measured(), 5, SEEN)
     assert len(segments) == 3 * 7
     batch = segments.gather(torch.tensor([0, 8, 20]))

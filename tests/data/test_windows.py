@@ -12,18 +12,18 @@ from ahnn.errors import UserError
 from ahnn.types import Trajectories
 
 
-def numbered(stretches, dt=0.1):
-    """Trajectories of stretches with a missing sample between; a sample says where it is."""
-    rows = [sum(lengths) + len(lengths) - 1 for lengths in stretches]
-    states = torch.full((len(stretches), max(rows), 2), torch.nan, dtype=torch.float64)
-    for b, lengths in enumerate(stretches):
+def numbered(segments, dt=0.1):
+    """Trajectories of segments with a missing sample between; a sample says where it is."""
+    rows = [sum(lengths) + len(lengths) - 1 for lengths in segments]
+    states = torch.full((len(segments), max(rows), 2), torch.nan, dtype=torch.float64)
+    for b, lengths in enumerate(segments):
         begin = 0
         for length in lengths:
             states[b, begin : begin + length, 0] = 1000.0 * b + begin
             states[b, begin : begin + length, 1] = torch.arange(length, dtype=torch.float64) ** 2
             begin += length + 1
     times = torch.arange(max(rows), dtype=torch.float64) * dt
-    return Trajectories(states, times.expand(len(stretches), -1))
+    return Trajectories(states, times.expand(len(segments), -1))
 
 
 def naive(data, steps):
@@ -41,9 +41,9 @@ STRETCHES = st.lists(st.lists(st.integers(1, 7), min_size=1, max_size=3), min_si
 
 
 @settings(deadline=None, max_examples=150)
-@given(stretches=STRETCHES, steps=st.integers(1, 7))
-def test_windows_equal_a_naive_enumeration(stretches, steps):
-    data = numbered(stretches)
+@given(segments=STRETCHES, steps=st.integers(1, 7))
+def test_windows_equal_a_naive_enumeration(segments, steps):
+    data = numbered(segments)
     expected = naive(data, steps)
     if not expected:
         with pytest.raises(UserError, match=f"received window={steps}|to form windows; received none"):
@@ -55,14 +55,14 @@ def test_windows_equal_a_naive_enumeration(stretches, steps):
     samples = torch.stack([data.states[b, k : k + steps + 1] for b, k in expected])
     assert torch.equal(batch.start, samples[:, 0])
     assert torch.equal(batch.increments, samples[:, 1:] - samples[:, :-1])
-    assert bool((batch.increments[..., 0] == 0).all())  # none straddles two stretches
+    assert bool((batch.increments[..., 0] == 0).all())  # none straddles two segments
     assert batch.dt == 0.1
 
 
 @settings(deadline=None, max_examples=60)
-@given(stretches=STRETCHES, steps=st.integers(1, 4), seed=st.integers(0, 1000))
-def test_windows_of_irregular_samples_have_their_own_steps(stretches, steps, seed):
-    data = numbered(stretches)
+@given(segments=STRETCHES, steps=st.integers(1, 4), seed=st.integers(0, 1000))
+def test_windows_of_irregular_samples_have_their_own_steps(segments, steps, seed):
+    data = numbered(segments)
     draw = torch.Generator().manual_seed(seed)
     shape = data.times.shape
     times = (0.1 + torch.rand(shape, generator=draw, dtype=torch.float64)).cumsum(1)

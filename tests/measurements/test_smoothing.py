@@ -72,7 +72,7 @@ def test_starts_are_guessed_from_the_first_samples():
     seen = Segment(values, t, Instrument(Position(1), torch.ones(1), 0.1, 1, 3.0))
     close(guess(seen), torch.tensor([[1.0, -6.0], [2.0, -6.0]]), 1e-9)
     states = torch.cat((values, values + 5), dim=-1)
-    late = seen._replace(times=t + 50.0)  # a stretch begins at any time
+    late = seen._replace(times=t + 50.0)  # a segment begins at any time
     close(guess(late), guess(seen), 1e-9)
     whole = Segment(states, t, Instrument(State(1), torch.ones(2), 0.1, 1, 3.0))
     close(guess(whole), states[:, 0], 1e-9)

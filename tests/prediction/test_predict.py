@@ -35,7 +35,7 @@ def known_everywhere(**changes) -> Domain:
 @torch.no_grad()
 def test_on_the_grid_it_is_the_rollout_with_its_band(monkeypatch):
     times, lengths = 0.1 * torch.arange(41, **DOUBLE), torch.full((2, 40), 0.1, **DOUBLE)
-    monkeypatch.setattr("ahnn.prediction.propagation.TOGETHER", 14)  # stretches of seven steps
+    monkeypatch.setattr("ahnn.prediction.propagation.TOGETHER", 14)  # parts of seven steps
     found = predicted(Swing(), START, times, 0.1, Knowledge(FACTOR, known_everywhere()))
     assert found.covariances is not None
     assert found.novelty is not None
@@ -63,16 +63,16 @@ def test_long_steps_are_followed_in_quarters(domain):
 
 
 @torch.no_grad()
-def test_long_steps_are_the_same_in_any_stretches_and_one_alone(monkeypatch):
+def test_long_steps_are_the_same_in_any_parts_and_one_alone(monkeypatch):
     times = 0.2 * torch.arange(31, **DOUBLE)
     whole = predicted(Swing(), START, times, 0.2, Knowledge(FACTOR)).covariances
     alone = predicted(Swing(), START, times[:2], 0.2, Knowledge(FACTOR)).covariances
-    monkeypatch.setattr("ahnn.prediction.propagation.CELLS", 1)  # stretches of a step
-    stretched = predicted(Swing(), START, times, 0.2, Knowledge(FACTOR)).covariances
+    monkeypatch.setattr("ahnn.prediction.propagation.CELLS", 1)  # parts of a step
+    parted = predicted(Swing(), START, times, 0.2, Knowledge(FACTOR)).covariances
     assert whole is not None
     assert alone is not None
-    assert stretched is not None
-    close(stretched, whole, 1e-5)
+    assert parted is not None
+    close(parted, whole, 1e-5)
     close(alone, whole[:, :2], 1e-6)
 
 
@@ -94,7 +94,7 @@ def test_novelty_counts_between_long_steps():
 def test_the_covariance_of_a_start_is_carried_along_by_the_flow(monkeypatch):
     """Through derivatives of the whole path by autograd; the one of the parameters is added to it."""
     times, sd = 0.1 * torch.arange(21, **DOUBLE), torch.tensor([0.3, 0.05], **DOUBLE)
-    monkeypatch.setattr("ahnn.prediction.propagation.TOGETHER", 14)  # stretches of seven steps
+    monkeypatch.setattr("ahnn.prediction.propagation.TOGETHER", 14)  # parts of seven steps
 
     def end(x):
         for _ in range(20):

@@ -82,7 +82,7 @@ def test_stages_of_measurements_are_objectives_and_whole_trajectories_judge():
     held = [curriculum.at(epoch, 8) for epoch in range(8)]
     assert [type(o) for o in held] == [Weak, Weak, *[Shooting] * 6]
     assert [curriculum.intervals(epoch, 8) for epoch in range(8)] == [None, None, 4, 4, *[None] * 4]
-    assert [curriculum.stretches(epoch, 8) for epoch in range(8)] == [8, 8, None, None, *[3] * 4]
+    assert [curriculum.segments_per_step(epoch, 8) for epoch in range(8)] == [8, 8, None, None, *[3] * 4]
     assert {o.robust for o in (*held, curriculum.judge)} == {"huber"}
     assert curriculum.judge.intervals is None
 

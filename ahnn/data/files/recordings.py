@@ -56,8 +56,8 @@ class Recordings(ABC):
         unsound: bool,
     ) -> None:
         if space.frame.upper().startswith(ROTATING):
-            told = "%s: frame %s rotates, so that mass times velocity is not a momentum"
-            log.warning(told, space.name, space.frame)
+            message = "%s: frame %s rotates, so that mass times velocity is not a momentum"
+            log.warning(message, space.name, space.frame)
         self.space, self.positions_only = space, not contents[0].rates
         self.momenta = contents[0].momenta
         self.mass, self.cut, self.gap, self.unsound = mass, cut, gap, unsound

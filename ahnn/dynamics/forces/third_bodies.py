@@ -156,8 +156,8 @@ def opened(names: list[str], epoch: float, days: NDArray[np.float64]) -> Any:
 
 def parameter(ephemeris: Any, name: str) -> float:
     """Return the gravitational parameter of a body in DE421, au^3/d^2."""
-    share = {"earth": 1 - ephemeris.earth_share, "moon": ephemeris.earth_share}.get(name, 1.0)
-    return share * getattr(ephemeris, PARAMETERS[name])
+    fraction = {"earth": 1 - ephemeris.earth_share, "moon": ephemeris.earth_share}.get(name, 1.0)
+    return fraction * getattr(ephemeris, PARAMETERS[name])
 
 
 def barycentric(ephemeris: Any, name: str, epoch: float, days: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -181,11 +181,11 @@ def with_process_noise(
         given = {"size": option.size, "memory": option.memory, "growth": grown(case.novelty, rate)}
         tried, inertia = arcs(FORCE_FITTED_ON), case.space.factor
         fit = fitted_force_error(plain, setting, tried, case.validation, inertia, **given)
-        told = {"size": float(fit.error.size), "memory": float(fit.error.memory)}
-        about = {"from": "force_error", **told, "scale": fit.scale, "nees_of_scales": list(fit.nees)}
+        estimate = {"size": float(fit.error.size), "memory": float(fit.error.memory)}
+        about = {"from": "force_error", **estimate, "scale": fit.scale, "nees_of_scales": list(fit.nees)}
         about["novelty"] = rate
         # Zero variance would make every member fail.
-        return plain._replace(force_error=fit.error if told["size"] > 0.0 else None), about
+        return plain._replace(force_error=fit.error if estimate["size"] > 0.0 else None), about
     if isinstance(option, str):
         fitted = fitted_process_noise(plain, setting, arcs(FITTED_ON), case.validation)
         q = fitted.covariance

@@ -232,7 +232,7 @@ def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
     kept = result.nis.masked_fill(result.rejected, torch.nan)
     at_times, low, high = nis_at_times(kept, result.measured)
     within = ((at_times >= low) & (at_times <= high))[at_times.isfinite()]
-    shares = coverage(error[:, after], deviations(outcome.chol[:, after]))
+    fractions = coverage(error[:, after], deviations(outcome.chol[:, after]))
     return {
         "whole_arc": case.score(outcome.estimate)._asdict(),
         "from_first_update": case.score(outcome.estimate, first)._asdict(),
@@ -244,7 +244,7 @@ def numbers(outcome: Outcome, case: Case) -> dict[str, Any]:
         "nees_of_start": _plain(judged_nees(outcome.nees[:, :1], error.shape[-1])),
         "nees_of_phases": {name: _plain(mean) for name, mean in _phases(outcome, case).items()},
         "nis": _plain(judged_nis(result)) | {"in_band": float(within.double().mean())},
-        "coverage": {f"{k}_sigma": {"share": shares[k], "gaussian": p} for k, p in GAUSSIAN.items()},
+        "coverage": {f"{k}_sigma": {"fraction": fractions[k], "gaussian": p} for k, p in GAUSSIAN.items()},
         "status": {status.name: int((result.status == status).sum()) for status in Status},
         "failed_steps": result.failed_step[result.failed_step >= 0].tolist(),
         "repairs": int(result.repairs.sum()),

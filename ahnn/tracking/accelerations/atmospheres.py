@@ -90,11 +90,11 @@ class HarrisPriester:
         bulge = bulge / np.linalg.norm(bulge)
         distance = np.sqrt(inner(r, r))
         along = r / distance
-        share = (1 + along @ bulge[:, None]) / 2  # cos^2(psi/2)
-        by_share = self.exponent / 2 * share ** (self.exponent / 2 - 1)
+        fraction = (1 + along @ bulge[:, None]) / 2  # cos^2(psi/2)
+        by_fraction = self.exponent / 2 * fraction ** (self.exponent / 2 - 1)
         (night, slope), (day, steep) = (tabulated(distance - RADIUS, table) for table in (NIGHT, DAY))
-        weight = share ** (self.exponent / 2)
-        turn = by_share * (bulge - along * (along @ bulge[:, None])) / (2 * distance)
+        weight = fraction ** (self.exponent / 2)
+        turn = by_fraction * (bulge - along * (along @ bulge[:, None])) / (2 * distance)
         gradient = (slope + (steep - slope) * weight) * along + (day - night) * turn
         return night + (day - night) * weight, gradient
 

@@ -14,7 +14,7 @@ from ahnn.errors import UserError
 from ahnn.systems import System
 from ahnn.types import Space, Trajectories, Units
 from ahnn_plugins.demonstrations.extras import require
-from ahnn_plugins.demonstrations.segmented_series import stretches
+from ahnn_plugins.demonstrations.segmented_series import segmented
 
 
 @final
@@ -28,7 +28,7 @@ class Planets:
         begin: Julian date of the first sample, TDB.
         step: days between two samples.
         samples: number of samples per segment, i.e. trajectory.
-        stretches: number of consecutive segments per planet.
+        segments: number of consecutive segments per planet.
 
     Raises:
         UserError: a planet or dates that DE421 does not contain.
@@ -37,10 +37,10 @@ class Planets:
     truth: System | None = None
 
     def __init__(
-        self, name: str, planets: list[str], begin: Finite, step: Positive, samples: Count, stretches: Count
+        self, name: str, planets: list[str], begin: Finite, step: Positive, samples: Count, segments: Count
     ) -> None:
         self.planets, self.begin, self.step = planets, begin, step
-        self.samples, self.stretches = samples, stretches
+        self.samples, self.segments = samples, segments
         units = Units(time="d", position="au", velocity="au/d", energy="au²/d²")
         self.space = Space(name, ("x", "y", "z", "vx", "vy", "vz"), units, frame="ICRF, SUN")
         require("de421", "ephemeris")
@@ -49,7 +49,7 @@ class Planets:
 
     def recipe(self) -> dict[str, Any]:
         """Return the definition of the samples."""
-        known = ("planets", "begin", "step", "samples", "stretches")
+        known = ("planets", "begin", "step", "samples", "segments")
         return {"ephemeris": "DE421", **{name: getattr(self, name) for name in known}}
 
     def steps(self) -> int:
@@ -58,10 +58,10 @@ class Planets:
 
     def read(self) -> Trajectories:
         """Return the segments, ordered by start time and then planet."""
-        times = self.step * np.arange(self.stretches * self.samples)
+        times = self.step * np.arange(self.segments * self.samples)
         sun = self._barycentric("sun", times)
         states = np.stack([self._barycentric(planet, times) - sun for planet in self.planets])
-        return stretches(states, times, self.samples)
+        return segmented(states, times, self.samples)
 
     def _barycentric(self, body: str, times: np.ndarray) -> np.ndarray:
         """Return states (T, 6) in au and au/d, about the barycentre of the solar system."""
@@ -75,10 +75,10 @@ class Planets:
             message = f"planets: expected one or more of {', '.join(known)}; received {wrong or 'none'}"
             raise UserError(message)
         first, last = self._ephemeris.jalpha, self._ephemeris.jomega
-        end = self.begin + self.step * self.samples * self.stretches
+        end = self.begin + self.step * self.samples * self.segments
         if not (first <= self.begin and end <= last):
             message = (
-                f"begin, step, samples, stretches: expected Julian dates from {first} to {last}; received "
+                f"begin, step, samples, segments: expected Julian dates from {first} to {last}; received "
                 f"{self.begin} to {end}"
             )
             raise UserError(message)

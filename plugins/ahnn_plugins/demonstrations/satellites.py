@@ -17,7 +17,7 @@ from ahnn.systems import System
 from ahnn.training.objectives import difference_weights
 from ahnn.types import Space, Trajectories, Units
 from ahnn_plugins.demonstrations.extras import require
-from ahnn_plugins.demonstrations.segmented_series import stretches
+from ahnn_plugins.demonstrations.segmented_series import segmented
 
 APART, ORDER = 10.0, 8
 """Spacing, in seconds, of the positions for numerical velocities, and order of the differences."""
@@ -39,7 +39,7 @@ class Satellites:
         satellites: catalogue numbers.
         step: seconds between two samples.
         samples: number of samples per segment, i.e. trajectory.
-        stretches: number of consecutive segments per satellite.
+        segments: number of consecutive segments per satellite.
 
     Raises:
         UserError: a satellite without a verification set, or one that SGP4 cannot propagate that long.
@@ -48,9 +48,9 @@ class Satellites:
     truth: System | None = None
 
     def __init__(
-        self, name: str, satellites: list[Count], step: Positive, samples: Count, stretches: Count
+        self, name: str, satellites: list[Count], step: Positive, samples: Count, segments: Count
     ) -> None:
-        self.satellites, self.step, self.samples, self.stretches = satellites, step, samples, stretches
+        self.satellites, self.step, self.samples, self.segments = satellites, step, samples, segments
         units = Units(time="s", position="km", velocity="km/s", energy="km²/s²")
         self.space = Space(name, ("x", "y", "z", "vx", "vy", "vz"), units, frame="TEME, EARTH")
         known = element_sets()
@@ -63,7 +63,7 @@ class Satellites:
 
     def recipe(self) -> dict[str, Any]:
         """Return the element sets, and the definition of the samples."""
-        known = ("satellites", "step", "samples", "stretches")
+        known = ("satellites", "step", "samples", "segments")
         sets = [list(lines) for lines in self._sets]
         return {"sgp4": sets, **{name: getattr(self, name) for name in known}}
 
@@ -73,11 +73,11 @@ class Satellites:
 
     def read(self) -> Trajectories:
         """Return the segments, ordered by start time and then satellite."""
-        times = self.step * np.arange(self.stretches * self.samples)
+        times = self.step * np.arange(self.segments * self.samples)
         states = np.stack([moved(lines, times) for lines in self._sets])
         epochs = np.array([days_since_1950(lines) for lines in self._sets])
         begins = DAY * (epochs - np.floor(epochs.min()))
-        return stretches(states, begins[:, None] + times, self.samples)
+        return segmented(states, begins[:, None] + times, self.samples)
 
 
 def element_sets() -> dict[int, tuple[str, str]]:
@@ -108,7 +108,7 @@ def moved(lines: tuple[str, str], times: np.ndarray) -> np.ndarray:
         if (failed := codes.nonzero()[0]).size:
             day = t[failed[0]] / DAY
             message = (
-                f"samples, stretches: expected times that SGP4 reaches with satellite {lines[0][2:7]}; "
+                f"samples, segments: expected times that SGP4 reaches with satellite {lines[0][2:7]}; "
                 f"received day {day:.1f}, where its error is {codes[failed[0]]}"
             )
             raise UserError(message)

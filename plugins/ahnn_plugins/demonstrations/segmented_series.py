@@ -8,7 +8,7 @@ import torch
 from ahnn.types import Trajectories
 
 
-def stretches(states: np.ndarray, times: np.ndarray, samples: int) -> Trajectories:
+def segmented(states: np.ndarray, times: np.ndarray, samples: int) -> Trajectories:
     """Cut series of several bodies into segments, ordered by start time and then body.
 
     A split by trajectory is then a split by time, without leakage of later data into training.

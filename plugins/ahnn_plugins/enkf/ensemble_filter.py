@@ -176,7 +176,7 @@ class EnsembleKalmanFilter(SampleFilter):
             prior = Belief(prior.mean, self.inflation * prior.chol)
             images = measured(sensor.measurement, points, float(state.time))
         joint = self.joint(prior, points, images, y, sensor, float(state.time))
-        told, width = conditioned(prior, joint.chol, joint.innovation, y), y.shape[-1]
+        innovation, width = conditioned(prior, joint.chol, joint.innovation, y), y.shape[-1]
         chol_y, cross = joint.chol[:, :width, :width], joint.chol[:, width:, :width]
         if self.form == "stochastic":
             # Measured components get rows of noise; missing components get none.
@@ -187,7 +187,7 @@ class EnsembleKalmanFilter(SampleFilter):
             step = (_solved(joint.innovation.unsqueeze(1), chol_y)) @ cross.mT
             moved = points + step - _solved(joint.deviations, chol_y + tria(joint.noise)) @ cross.mT
         belief = self.moments(moved)
-        return state._replace(belief=belief, points=moved), told._replace(belief=belief)
+        return state._replace(belief=belief, points=moved), innovation._replace(belief=belief)
 
     def joint(
         self, prior: Belief, points: Tensor, images: Tensor, y: Tensor, sensor: SensorModel, time: float

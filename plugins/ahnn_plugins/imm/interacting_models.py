@@ -143,15 +143,16 @@ class InteractingModels(MemberFilter[MixtureState]):
         weighed = state.log_modes + torch.stack([one.log_likelihood for one in found], 1)
         total = weighed.logsumexp(-1)
         proposed = state.mixed([one.belief for one in found], weighed - total.unsqueeze(-1))
-        told = kernel.update(state.belief, y, sensor, time)._replace(  # innovation and NIS of the moments
+        of_moments = kernel.update(state.belief, y, sensor, time)
+        innovation = of_moments._replace(
             belief=proposed.belief,
             log_likelihood=total,
             singular=torch.stack([one.singular for one in found]).any(0),
             repairs=_sum([one.repairs for one in found]),
             sound=False,
         )
-        after, accepted, rejected = decided(state, told, y, sensor, kernel.rounding)
-        return after.where(~accepted, proposed), told, rejected
+        after, accepted, rejected = decided(state, innovation, y, sensor, kernel.rounding)
+        return after.where(~accepted, proposed), innovation, rejected
 
 
 def _sum(counts: list[Tensor | None]) -> Tensor | None:

@@ -165,7 +165,7 @@ class ParticleFilter(SampleFilter):
             after, log_likelihood = self.moved(state, row)
         else:
             after, log_likelihood = self.weighed(state, images, row)
-        return after, _told(after.belief, weights.sqrt() * deviations, noise, innovation, log_likelihood)
+        return after, _of_update(after.belief, weights.sqrt() * deviations, noise, innovation, log_likelihood)
 
     def weighed(self, state: SampleState, images: Tensor, row: WeighingRow) -> tuple[SampleState, Tensor]:
         """Weight particles by a row, in as many stages as needed; return the state and the log density.
@@ -252,7 +252,9 @@ class ParticleFilter(SampleFilter):
         return torch.where(further, max(best, STAGE_BANDWIDTH), best).double()
 
 
-def _told(belief: Belief, rows: Tensor, noise: Tensor, innovation: Tensor, log_likelihood: Tensor) -> Updated:
+def _of_update(
+    belief: Belief, rows: Tensor, noise: Tensor, innovation: Tensor, log_likelihood: Tensor
+) -> Updated:
     """Build the update, with innovation statistics from the moments of the prediction.
 
     Args:

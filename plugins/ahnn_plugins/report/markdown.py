@@ -24,8 +24,8 @@ def grid_markdown(grid: Grid) -> str:
         cells = map(_cell, line.cells) if line.cells else [""] * (grid.columns - 1)
         lines.append(_row([line.name and markdown(line.name), *cells]))
     notes = [f"{letter(i)}: {markdown(note)}  " for i, note in enumerate(grid.notes, 1)]
-    told = f"**{markdown(grid.title)}** {markdown(grid.caption)}".strip()
-    return "\n".join([told, "", *lines, *(["", *notes] if notes else []), ""])
+    head = f"**{markdown(grid.title)}** {markdown(grid.caption)}".strip()
+    return "\n".join([head, "", *lines, *(["", *notes] if notes else []), ""])
 
 
 def markdown(text: str) -> str:

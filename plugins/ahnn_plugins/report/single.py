@@ -37,14 +37,14 @@ def sections(collection: Collection, grids: dict[str, list[Grid]], pictures: lis
     notes = [
         f"{described(row.who, results.label)}: {one}" for row in results.rows for one in row.note.splitlines()
     ]
-    told = [*remarks(board(collection, entry.system)), *notes]
+    sentences = [*remarks(board(collection, entry.system)), *notes]
     drawn = [Section("figures", "Figures", figures_html(pictures))] if pictures else []
     consistent = (
         [Section("consistency", "Consistency", escaped(list(map(grid_html, others))))] if others else []
     )
     numbers = [Section("numbers", "Further numbers", _numbers(entry))] if results.numbers else []
     return [
-        Section("summary", "Summary", escaped([_training(entry), remarks_html(told)])),
+        Section("summary", "Summary", escaped([_training(entry), remarks_html(sentences)])),
         Section("scores", "Scores", grid_html(scores)),
         *consistent,
         *drawn,

@@ -28,13 +28,13 @@ def extremes(columns: Sequence[Tensor], most: int = MOST) -> Tensor:
     count = len(columns[0])
     if count <= most:
         return torch.arange(count)
-    stretches = (most - 2) // (3 * len(columns))
-    if stretches < 1:
+    blocks = (most - 2) // (3 * len(columns))
+    if blocks < 1:
         message = (
             f"most: expected at least {3 * len(columns) + 2} for {len(columns)} columns; received {most}"
         )
         raise ValueError(message)
-    length = math.ceil(count / stretches)
+    length = math.ceil(count / blocks)
     rows = torch.arange(math.ceil(count / length) * length).clamp(max=count - 1).reshape(-1, length)
     ends = torch.tensor([0, count - 1])
     return torch.cat([ends, *(_marked(column, rows) for column in columns)]).unique()

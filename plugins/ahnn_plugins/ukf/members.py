@@ -65,8 +65,8 @@ def update(
     _call("ahnn_joint", *shapes, outer, y, complete, chol, step, *own, noise, noise_step, shift, joint)
     y_pred = images[:, 0] + shift
     # Missing components are filled in, since a residual may mix components.
-    told = residual(y if complete else torch.where(present, y, y_pred), y_pred)
-    innovation = torch.empty_like(y).copy_(told)
+    difference = residual(y if complete else torch.where(present, y, y_pred), y_pred)
+    innovation = torch.empty_like(y).copy_(difference)
     results = _results(prior, innovation)
     given = joint, y, prior.mean.contiguous(), noise, noise_step
     return _updated(_call("ahnn_condition", *shapes, *given, *results), results)
@@ -178,8 +178,8 @@ def _called(name: str, batch: float, *arguments: float | bytes) -> int:
     """Call a function of the library with addresses, and return its code; see `_call`."""
     found = library()
     assert found is not None
-    told = getattr(found, name)(batch, *arguments)
-    if told == NO_MEMORY:
+    status = getattr(found, name)(batch, *arguments)
+    if status == NO_MEMORY:
         message = f"filter: not enough memory for {batch} members"
         raise MemoryError(message)
-    return told
+    return status

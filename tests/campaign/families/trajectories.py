@@ -1,4 +1,4 @@
-"""Trajectories of a user's own: what is accepted gives finite windows inside stretches."""
+"""Trajectories of a user's own: what is accepted gives finite windows inside segments."""
 
 from __future__ import annotations
 

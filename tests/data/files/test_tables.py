@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from made_files import csv_of, said
 
 from ahnn.data import Files
-from ahnn.data.windows import stretches
+from ahnn.data.windows import segments
 from ahnn.statistics import sampling_interval
 from ahnn.types import Units
 
@@ -131,7 +131,7 @@ def test_no_window_crosses_what_is_missing_of_a_grid_and_nothing_is_lost(tmp_pat
     if np.median(np.diff(there)) != 1:  # then they lie on no grid
         return
     flat = trajectories.states.reshape(-1, 2)
-    for first, length in zip(*(x.tolist() for x in stretches(trajectories.present)), strict=True):
+    for first, length in zip(*(x.tolist() for x in segments(trajectories.present)), strict=True):
         run = flat[first : first + length, 0]
         assert bool((run.diff() == 1).all())
     assert sampling_interval(trajectories) == 0.5
@@ -147,7 +147,7 @@ def test_a_long_step_among_irregular_ones_is_a_gap(tmp_path):
     filled = read(tmp_path, table("t,q,v", rows)).read()
     absent = int((~filled.present).sum())
     assert absent == round(30.0 / np.median(steps)) - 1
-    assert len(stretches(filled.present)[0]) == 2
+    assert len(segments(filled.present)[0]) == 2
     assert filled.times.isfinite().all()
     longest = float(filled.times.diff(dim=1).max())
     assert longest < 1.6

@@ -61,7 +61,7 @@ def test_two_samples_have_no_step_that_is_usual():
 @pytest.mark.parametrize(
     ("samples", "sizes"), [(None, [10]), (4, [5, 5]), (3, [4, 3, 3]), (99, [10]), (7, [10])]
 )
-def test_stretches_are_about_as_long_as_asked_for(samples, sizes):
+def test_segments_are_about_as_long_as_asked_for(samples, sizes):
     parts = cut(track(range(10)), samples)
     assert [len(part.times) for part in parts] == sizes
     assert np.concatenate([part.rows for part in parts]).tolist() == list(range(2, 12))

@@ -29,13 +29,13 @@ STRONGER = 3e-5
 """By so much the model's attraction is too strong, relative."""
 
 
-def bodies(stretches: int) -> Trajectories:
+def bodies(segments: int) -> Trajectories:
     """Two bodies about a centre, each with the sum of both parameters, as the two-body problem has it."""
-    turns = torch.arange(stretches, dtype=torch.float64).repeat_interleave(2)
+    turns = torch.arange(segments, dtype=torch.float64).repeat_interleave(2)
     times = 10 * turns.unsqueeze(1) + torch.arange(10, dtype=torch.float64)
-    mu = MU + torch.tensor(list(MASSES.values()), dtype=torch.float64).repeat(stretches).unsqueeze(1)
+    mu = MU + torch.tensor(list(MASSES.values()), dtype=torch.float64).repeat(segments).unsqueeze(1)
     first = torch.tensor([[1.0, 0, 0, 0, 1.3, 0.1], [0, 2.5, 0, -0.9, 0, 0.1]], dtype=torch.float64)
-    start = first.repeat(stretches, 1).unsqueeze(1).expand(-1, 10, -1)
+    start = first.repeat(segments, 1).unsqueeze(1).expand(-1, 10, -1)
     return Trajectories(kepler(start, times, mu), times)
 
 

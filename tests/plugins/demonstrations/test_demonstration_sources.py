@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from ahnn.errors import UserError
 from ahnn_plugins.demonstrations import Planets, Satellites, extras
 from ahnn_plugins.demonstrations.satellites import element_sets
-from ahnn_plugins.demonstrations.segmented_series import stretches
+from ahnn_plugins.demonstrations.segmented_series import segmented
 from ahnn_plugins.demonstrations.two_body import kepler
 
 INNER = ["mercury", "venus", "earthmoon", "mars"]
@@ -25,21 +25,21 @@ MOLNIYA = [8195, 9880, 21897, 22674]
 
 def planets(**changes) -> Planets:
     pytest.importorskip("de421", reason="the extra `ephemeris` is needed")
-    options = {"planets": INNER, "begin": 2451545.0, "step": 2.0, "samples": 50, "stretches": 3}
+    options = {"planets": INNER, "begin": 2451545.0, "step": 2.0, "samples": 50, "segments": 3}
     return Planets(name="planets", **(options | changes))
 
 
 def satellites(**changes) -> Satellites:
     pytest.importorskip("sgp4", reason="the extra `orbit` is needed")
-    options = {"satellites": MOLNIYA, "step": 7200.0, "samples": 12, "stretches": 2}
+    options = {"satellites": MOLNIYA, "step": 7200.0, "samples": 12, "segments": 2}
     return Satellites(name="satellites", **(options | changes))
 
 
-def test_stretches_stand_in_the_order_of_time():
+def test_segments_stand_in_the_order_of_time():
     """The value of a sample is body + time / 100, so that each shows where it comes from."""
     times = np.arange(6.0)
     states = np.arange(2.0)[:, None, None] + times[None, :, None] / 100
-    cut = stretches(states, times, 3)
+    cut = segmented(states, times, 3)
     assert cut.times.tolist() == [[0, 1, 2], [0, 1, 2], [3, 4, 5], [3, 4, 5]]
     assert cut.states[:, 0, 0].tolist() == [0.0, 1.0, 0.03, 1.03]
 
@@ -56,7 +56,7 @@ def test_planets_are_where_another_theory_has_them():
 
 
 def test_satellites_are_where_the_published_verification_has_them():
-    read = satellites(samples=25, stretches=1).read()
+    read = satellites(samples=25, segments=1).read()
     text = files("sgp4").joinpath("tcppver.out").read_text()
     for k, number in enumerate(MOLNIYA):
         lines = text.split(f"{number} xx\n")[1].splitlines()[:25]
@@ -69,7 +69,7 @@ def test_satellites_are_where_the_published_verification_has_them():
 
 
 def test_reported_velocities_are_not_the_derivatives_of_the_positions_by_up_to_two_metres_per_second():
-    read = satellites(step=60.0, samples=1440, stretches=1).read()
+    read = satellites(step=60.0, samples=1440, segments=1).read()
     api = pytest.importorskip("sgp4.api")
     minutes = np.arange(1440.0)
     for k, number in enumerate(MOLNIYA):
@@ -80,7 +80,7 @@ def test_reported_velocities_are_not_the_derivatives_of_the_positions_by_up_to_t
 
 def test_the_velocities_of_satellites_are_derivatives_of_their_positions():
     """Simpson's rule over ten steps of 2 s against the positions at both ends."""
-    read = satellites(step=2.0, samples=11, stretches=1).read()
+    read = satellites(step=2.0, samples=11, segments=1).read()
     weights = torch.tensor([1, 4, 2, 4, 2, 4, 2, 4, 2, 4, 1]).double() * 2.0 / 3
     moved = torch.einsum("t,btd->bd", weights, read.states[..., 3:])
     close(moved, read.states[:, -1, :3] - read.states[:, 0, :3], 1e-9)
@@ -92,7 +92,7 @@ def test_the_velocities_of_satellites_are_derivatives_of_their_positions():
         (planets, {"planets": ["pluto", "ceres"]}, "planets: expected one or more of .*received .*ceres"),
         (planets, {"planets": []}, "received none"),
         (planets, {"begin": 2414000.0}, "expected Julian dates from 2414992.5 to"),
-        (planets, {"stretches": 10_000}, "expected Julian dates"),
+        (planets, {"segments": 10_000}, "expected Julian dates"),
         (satellites, {"satellites": [8195, 1]}, r"satellites: expected one or more of .*received \[1\]"),
         (satellites, {"satellites": []}, "received none"),
     ],

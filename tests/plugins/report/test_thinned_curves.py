@@ -33,7 +33,7 @@ def test_extremes_ends_and_length(width, count, most, random):
         assert bool(column[at].isnan().any()) == bool(column.isnan().any())
 
 
-def test_every_stretch_keeps_its_own_spike():
+def test_every_block_keeps_its_own_spike():
     values = torch.zeros(10_000)
     spikes = torch.arange(50, 10_000, 100)
     values[spikes] = torch.arange(1.0, 101.0)

@@ -51,7 +51,7 @@ def test_rows_numbers_arrays_and_figures(spring: Case, found: Findings) -> None:
     told = findings.numbers["filters"]["ukf"]["model"]["perturbed"]
     assert told["status"] == {"OK": 6, "NOT_FINITE": 0, "COLLAPSED": 0, "DIVERGED": 0, "IMPRECISE": 0}
     assert told["repairs"] == 0
-    assert 0.5 < told["coverage"]["1_sigma"]["share"] <= 1.0
+    assert 0.5 < told["coverage"]["1_sigma"]["fraction"] <= 1.0
     assert findings.arrays["perturbed_start"].shape == spring.test.states.shape
     assert all(array.isfinite().all() for array in findings.arrays.values())
     teeth = {key: findings.arrays[f"perturbed_sawtooth_{key}"] for key in ("mean", "deviation", "member")}

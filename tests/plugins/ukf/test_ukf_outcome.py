@@ -158,8 +158,8 @@ def test_coverage_and_sums_are_over_what_comes_after_the_first_update(tmp_path):
     ratio = (made.error / made.sd).abs()[:, 8:]
     ratio = ratio[ratio.isfinite()]
     for k in (1, 2, 3):
-        share = told["coverage"][f"{k}_sigma"]["share"]
-        assert share == pytest.approx(float((ratio <= k).double().mean()), rel=1e-12)
+        fraction = told["coverage"][f"{k}_sigma"]["fraction"]
+        assert fraction == pytest.approx(float((ratio <= k).double().mean()), rel=1e-12)
     assert told["repairs"] == 5
     assert told["log_likelihood"] == pytest.approx(3.0)
     assert told["whole_arc"]["position"] == float("inf")

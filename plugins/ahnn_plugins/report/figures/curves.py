@@ -42,8 +42,8 @@ def path(
     points = drawable(points)
     at = along(points)
     x, y, *z = points[at].unbind(-1)
-    told = {name: values[at] for name, values in (hover or {}).items()}
-    return Series(label, x, y, z[0] if z else None, role, slot, hover=told)
+    shown = {name: values[at] for name, values in (hover or {}).items()}
+    return Series(label, x, y, z[0] if z else None, role, slot, hover=shown)
 
 
 def drawable(values: Tensor, *, log: bool = False) -> Tensor:

@@ -26,11 +26,11 @@ def orbits(task: Task) -> Drawing:
     lead = task.lead
     x, y, z = state_labels(lead)[:3]
     radius = float(getattr(lead.system, "r_eq", 0.0))
-    series = [path(lead.known, lead.path[:, :3], role="track", hover=_told(lead, lead.path[:, :3], radius))]
+    series = [path(lead.known, lead.path[:, :3], role="track", hover=_hover(lead, lead.path[:, :3], radius))]
     for run in task.drawn:
         points = cut(run.first[run.start][:, :3], run.path[:, :3])
-        told = _told(run, points, radius, run.path[:, :3])
-        series.append(path(run.entry.model, points, slot=run.slot, hover=told))
+        hover = _hover(run, points, radius, run.path[:, :3])
+        series.append(path(run.entry.model, points, slot=run.slot, hover=hover))
     panel = Panel(_behind(series), x, y, z, equal=True, radius=radius)
     caption = f"The first test orbit, {lead.start} start, without measurements. {CUT} {task.one_run_each()}"
     return task.drawing("orbits", "orbits (as in figure 1 of the paper)", caption.strip(), [panel], "orbit")
@@ -68,7 +68,7 @@ def _behind(series: list[Series]) -> tuple[Series, ...]:
     return (*series[1:], series[0])
 
 
-def _told(run: Kept, points: Tensor, radius: float, truth: Tensor | None = None) -> dict[str, Tensor]:
+def _hover(run: Kept, points: Tensor, radius: float, truth: Tensor | None = None) -> dict[str, Tensor]:
     """Return the tooltip values of positions (T, 3): time, altitude or distance, and error."""
     unit = run.space.units.position
     distance = points.norm(dim=-1)
