@@ -67,7 +67,7 @@ class View:
             return
         values = zip(self.space.components, estimate.mean.tolist(), self._deviations(estimate), strict=True)
         state = "  ".join(f"{name} {value:.6g} ± {3 * sd:.2g}" for name, value, sd in values)
-        text = f"line {line}, time {estimate.time:g}: {state}; {self.consistency()}; {said(counts)}"
+        text = f"line {line}, time {estimate.time:g}: {state}; {self.consistency()}; {summary(counts)}"
         self.console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def table(self, line: int, reading: Reading, estimate: Estimate, counts: Counter[str]) -> Table:
@@ -83,7 +83,7 @@ class View:
         ):
             table.add_row(name, f"{value:.8g}", f"{3 * sd:.3g}", units.position if k < dof else momentum)
         table.caption = "\n".join(
-            (f"{reading.sensor or 'no sensor'}: {described(estimate)}", self.consistency(), said(counts))
+            (f"{reading.sensor or 'no sensor'}: {described(estimate)}", self.consistency(), summary(counts))
         )
         return table
 
@@ -109,6 +109,6 @@ def described(estimate: Estimate) -> str:
     return f"{estimate.outcome}, innovation [sigma] " + " ".join(f"{value:+.2f}" for value in ratio)
 
 
-def said(counts: Counter[str]) -> str:
+def summary(counts: Counter[str]) -> str:
     """Format the counts of lines by outcome."""
     return ", ".join(f"{count:,} {word}" for word, count in sorted(counts.items())) or "no line yet"

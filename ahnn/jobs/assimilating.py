@@ -16,7 +16,7 @@ from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.output_rows import Rows
 from ahnn.assimilation.session import Session, Watcher
 from ahnn.assimilation.stream_figures import figures_of
-from ahnn.assimilation.view import View, said
+from ahnn.assimilation.view import View, summary
 from ahnn.data.estimate_table import described, track_names
 from ahnn.data.files.object_name import ObjectName
 from ahnn.data.start_states import UNKNOWN
@@ -66,7 +66,7 @@ def assimilate(stream: Stream) -> None:
             session.run(told_to(watchers) if watchers else None)
     if filtering.controls.known is not None:
         warn_of_the_end(options.controls, filtering.controls.known, filtering.window.time)
-    log.info("%s lines: %s", f"{session.counts.total():,}", said(session.counts))
+    log.info("%s lines: %s", f"{session.counts.total():,}", summary(session.counts))
     if verdict := session.verdict():
         log.info(verdict)
     for remark in session.of_sensors():

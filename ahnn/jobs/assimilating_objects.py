@@ -18,7 +18,7 @@ from ahnn.assimilation.object_shard import ObjectShard
 from ahnn.assimilation.output_rows import Format
 from ahnn.assimilation.parquet_stream import ParquetRows
 from ahnn.assimilation.stream_tally import StreamTally
-from ahnn.assimilation.view import said
+from ahnn.assimilation.view import summary
 from ahnn.data.estimate_table import OBJECT, described, track_names
 from ahnn.data.files.object_name import ObjectName, names_by_id
 from ahnn.data.starts import Starts
@@ -105,7 +105,7 @@ def conclude(stream: Stream, found: CatalogueOutcome) -> None:
         TrainingError: most lines were rejected.
     """
     tally, last = found.tally, found.last
-    log.info("%s lines: %s", f"{tally.counts.total():,}", said(tally.counts))
+    log.info("%s lines: %s", f"{tally.counts.total():,}", summary(tally.counts))
     log.info("%s objects, %d of them lost", f"{len(last.names):,}", found.lost)
     if verdict := tally.verdict():
         log.info(verdict)

@@ -121,7 +121,7 @@ def fitted_start(
     covariance = max(1.0, chi_square) * covariance_of(run, best, bias_sd)
     log.info(
         "start: fitted to the first %d measurements, up to line %d (%s): %s; the filter continues after them",
-        *(len(lines), lines[-1][0], quality, said(last[0], covariance, run.space)),
+        *(len(lines), lines[-1][0], quality, state_text(last[0], covariance, run.space)),
     )
     start = Starts(numbered(1), last, segment.times[:, -1], covariances=covariance[None])
     return FittedStart(start, lines[-1][0])
@@ -265,7 +265,7 @@ def covariance_of(run: Run, best: BestFit, bias_sd: Tensor) -> Tensor:
     return causes @ causes.mT
 
 
-def said(state: Tensor, covariance: Tensor, space: Space) -> str:
+def state_text(state: Tensor, covariance: Tensor, space: Space) -> str:
     """Format a state (D,) with standard deviations."""
     values, sds = (state / space.scales).tolist(), (covariance.diagonal().sqrt() / space.scales).tolist()
     names = track_names(space)

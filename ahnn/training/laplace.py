@@ -33,7 +33,7 @@ from ahnn.shooting.robust import RobustName, loss_of, variance
 from ahnn.training.acceleration import accelerated
 from ahnn.training.evidence import by_evidence, log_evidence
 from ahnn.training.functions import ARRIVED, whole_step
-from ahnn.training.least_observable import least_told
+from ahnn.training.least_observable import least_observable_directions
 from ahnn.training.length_scales import choose_lengths
 from ahnn.training.levenberg_marquardt import ATTEMPTS, LARGEST, SUFFICIENT, adapted
 from ahnn.training.limited_segments import freedom
@@ -87,7 +87,9 @@ def conclude(
         found = _continued(found, dynamics, train, held_out, robust)
     learned, known = found.taken(dynamics)  # fits of the trajectories may need this step
     uncertain, _ = known.tangent or (dynamics, known)
-    return replace(found, directions=least_told(uncertain, found.spread, train, robust, learned))
+    return replace(
+        found, directions=least_observable_directions(uncertain, found.spread, train, robust, learned)
+    )
 
 
 def _continued(

@@ -17,7 +17,7 @@ INTERVALS = 2000
 
 
 @torch.no_grad()
-def least_told(
+def least_observable_directions(
     dynamics: Dynamics, spread: Tensor, train: Segment, robust: RobustName, learned: Dynamics
 ) -> Tensor | None:
     """Return the parameter directions (P, K) least observable by a filter from such measurements.

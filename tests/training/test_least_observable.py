@@ -10,7 +10,7 @@ from oscillators import DOUBLE, Swing, segment
 from ahnn.shooting.path_sensitivities import path, steps_between
 from ahnn.training import least_observable
 from ahnn.training.laplace import conclude
-from ahnn.training.least_observable import least_told
+from ahnn.training.least_observable import least_observable_directions
 from ahnn.uncertainty.directions import MOST, filtered_directions
 
 SPREAD = 0.02 * torch.eye(2, **DOUBLE)
@@ -31,7 +31,7 @@ def watched(monkeypatch):
 
 def test_trajectories_are_followed_as_they_were_measured_from_starts_that_meet_them(watched):
     starts, measured = segment()
-    found = least_told(Swing(), SPREAD, measured, "none", Swing())
+    found = least_observable_directions(Swing(), SPREAD, measured, "none", Swing())
     ((along, most),) = watched
     close(along.start, starts, 0.02)
     steps = steps_between(along.segment.times, measured.instrument.longest)
@@ -46,7 +46,7 @@ def test_trajectories_are_followed_as_they_were_measured_from_starts_that_meet_t
 def test_a_dozen_trajectories_are_enough(watched, monkeypatch):
     monkeypatch.setattr(least_observable, "INTERVALS", 7)
     starts, measured = segment(rows=50)
-    least_told(Swing(), SPREAD, measured, "none", Swing())
+    least_observable_directions(Swing(), SPREAD, measured, "none", Swing())
     ((along, _),) = watched
     close(along.start, starts[::4], 0.1)
     assert along.segment.times.shape == (13, 8)
@@ -57,10 +57,10 @@ def test_trajectories_that_are_not_met_are_left_out(watched):
     values = measured.values.clone()
     values[2] = 5.0 * torch.sin(40.0 * measured.times[2, :, None])
     strange = measured._replace(values=values)
-    least_told(Swing(), SPREAD, strange, "none", Swing())
+    least_observable_directions(Swing(), SPREAD, strange, "none", Swing())
     ((along, _),) = watched
     close(along.start, starts[[0, 1, 3, 4, 5]], 0.02)
-    assert least_told(Swing(), SPREAD, strange.rows(slice(2, 3)), "none", Swing()) is None
+    assert least_observable_directions(Swing(), SPREAD, strange.rows(slice(2, 3)), "none", Swing()) is None
 
 
 def test_outliers_are_weighed_down_as_in_the_training(watched):
@@ -68,7 +68,7 @@ def test_outliers_are_weighed_down_as_in_the_training(watched):
     values = measured.values.clone()
     values[:, 10] += 0.5  # fifty standard deviations
     for robust in ("none", "student"):
-        least_told(Swing(), SPREAD, measured._replace(values=values), robust, Swing())
+        least_observable_directions(Swing(), SPREAD, measured._replace(values=values), robust, Swing())
     off = [float((along.start - starts).abs().max()) for along, _ in watched]
     assert off[1] < 0.2 * off[0]
 
@@ -76,4 +76,6 @@ def test_outliers_are_weighed_down_as_in_the_training(watched):
 def test_a_training_keeps_the_directions_of_its_own_covariance():
     measured = segment(rows=8)[1]
     found = conclude(Swing(), measured, measured, 0)
-    assert torch.equal(found.directions, least_told(Swing(), found.spread, measured, "none", Swing()))
+    assert torch.equal(
+        found.directions, least_observable_directions(Swing(), found.spread, measured, "none", Swing())
+    )
