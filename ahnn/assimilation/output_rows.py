@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ahnn.assimilation.decimal_rows import decimal_rows
-from ahnn.assimilation.fixed_lag import measured
+from ahnn.assimilation.fixed_lag import numbers_of
 from ahnn.assimilation.row_units import with_row_units
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.assimilation.stream_estimate import Estimate
@@ -122,22 +122,22 @@ class Rows:
         rows, columns = zip(*self.lower, strict=True)
         means = torch.stack([one.mean for one in estimates]) / self.scales
         covariances = torch.stack([one.covariance for one in estimates]) / self.scales.outer(self.scales)
-        measured = np.full((2, len(estimates), self.width), np.nan)
+        wide = np.full((2, len(estimates), self.width), np.nan)
         for name in (names := dict.fromkeys(sensors)):
             every = range(len(sensors))
             own = [*every] if len(names) == 1 else [k for k in every if sensors[k] == name]
-            for whole, parts in zip(measured, ("residual", "deviation"), strict=True):
+            for whole, parts in zip(wide, ("residual", "deviation"), strict=True):
                 part = torch.cat([getattr(innovations[k], parts) for k in own]).numpy()
                 for place, column in zip(self.places.get(name, ()), part.T, strict=True):
                     whole[own, place] = column
         more = [[*one.modes, *self._smoothed(one)] for one in estimates]
         triangles = covariances[:, list(rows), list(columns)].numpy()
-        numbers = np.concatenate((means.numpy(), triangles, *measured, np.array(more)), axis=1)
+        numbers = np.concatenate((means.numpy(), triangles, *wide, np.array(more)), axis=1)
         return dict(zip(self.names, [*first, *numbers.T], strict=True))
 
     def _smoothed(self, estimate: Estimate) -> list[float]:
         """Return the values of the columns for smoothed estimates."""
-        return measured(estimate.smoothed, self.scales) if self.smooths else []
+        return numbers_of(estimate.smoothed, self.scales) if self.smooths else []
 
     def wrote(self, text: str, line: int, *, begin: bool) -> bool:
         """Return whether a text consists of rows for lines after a given one; the last may be truncated.
