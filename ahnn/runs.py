@@ -23,7 +23,8 @@ from ahnn.numbers import Numbers, as_float64
 from ahnn.prediction.arguments import clock_along, lengths_of, paths_of, sample_clock, starts_of, states_of
 from ahnn.prediction.followed_path import Knowledge
 from ahnn.prediction.propagation import Prediction, predicted, require_times
-from ahnn.rollouts import rollout
+from ahnn.rollouts import rollout, stepped
+from ahnn.substeps import longest_part, substeps
 from ahnn.types import Space
 from ahnn.uncertainty import Domain, Uncertainty, learned_constants, rollout_covariances
 from ahnn.uncertainty.posterior import FILE
@@ -94,7 +95,7 @@ class Run:
 
         Args:
             x: states, in the units of the space.
-            dt: one time step, or one for each state, shape (...).
+            dt: one time step, or one for each state, shape (...); long ones are divided, as in `rollout`.
 
         Raises:
             UserError: invalid states or steps.
@@ -102,7 +103,8 @@ class Run:
         x = states_of(x, "x", self.dynamics, self.space)
         step = lengths_of(self.dt if dt is None else dt, x[..., 0])
         flat = step.flatten() if isinstance(step, Tensor) else step
-        return self.dynamics(x.reshape(-1, x.shape[-1]), flat).reshape(x.shape)
+        parts = substeps(step, longest_part(step, self.dt))
+        return stepped(self.dynamics, x.reshape(-1, x.shape[-1]), flat, parts=parts).reshape(x.shape)
 
     def energy(self, x: Numbers) -> Tensor:
         """Return the learned Hamiltonian, shape (...), at states x, shape (..., 2n), up to a constant.
@@ -132,6 +134,7 @@ class Run:
             start: (B, 2n) or (2n,) states, in the units of the space.
             steps: number of time steps.
             dt: time step, or (B, steps) step lengths; by default the sampling interval of the training data.
+                If a step is 1.5 times as long, steps are divided into parts that are no longer.
             start_time: time of the starts, for forces that depend on time.
             controls: values of each step, (steps, m) or (B, steps, m), for forces that depend on them.
 
@@ -142,7 +145,8 @@ class Run:
         x, steps, lengths = paths_of(start, steps, dt, self.dynamics, self.space)
         gradients = self._asked(x, lengths)
         clock = clock_along(self.dynamics, lengths, steps, start_time, controls, len(x))
-        return rollout(self.dynamics, x, lengths, steps + 1, gradients=gradients, clock=clock)
+        longest = longest_part(lengths, self.dt)
+        return rollout(self.dynamics, x, lengths, steps + 1, None, longest, gradients=gradients, clock=clock)
 
     def band(self, start: Numbers, steps: int, dt: Numbers | None = None) -> Tensor:
         """Return standard deviations of `rollout` from parameters only, shape (B, steps + 1, 2n).
@@ -163,9 +167,11 @@ class Run:
             raise UserError(message)
         dt = self.dt if dt is None else dt
         x, steps, lengths = paths_of(start, steps, dt, self.dynamics, self.space)
-        each = torch.as_tensor(lengths, dtype=x.dtype).expand(len(x), steps)
-        covariances = rollout_covariances(self._exact, x.double(), each.double(), self.uncertainty.spread)
-        return covariances.diagonal(dim1=-2, dim2=-1).sqrt()
+        parts = substeps(lengths, longest_part(lengths, self.dt))
+        each = torch.as_tensor(lengths, dtype=torch.float64).expand(len(x), steps)
+        each = each.repeat_interleave(parts, dim=1) / parts
+        covariances = rollout_covariances(self._exact, x.double(), each, self.uncertainty.spread)
+        return covariances[:, ::parts].diagonal(dim1=-2, dim2=-1).sqrt()
 
     def novelty(self, x: Numbers) -> Tensor:
         """Return the distance of states x, shape (..., 2n), from the training states, shape (...).
@@ -233,10 +239,10 @@ class Run:
         Args:
             start: (2n,) state at the first of the times; by default a training state.
             times: (T,) increasing; by default 300 sampling intervals.
-            options: further arguments of `predict`.
+            options: further arguments of `predict`, which raises the same errors.
 
         Raises:
-            UserError: as for `predict`, or several starts, or no start and no known training states.
+            UserError: several starts, or no start and no known training states.
         """
         from ahnn.prediction.figure import PLOTTED, prediction_figure
 

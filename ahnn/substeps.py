@@ -20,8 +20,13 @@ def substeps(gap: TimeStep, longest: float) -> int:
         gap: duration, or one for each member; the longest determines the number, and NaN is ignored.
         longest: maximum step length; infinity gives one step.
     """
-    length = float(gap.abs().nan_to_num().max()) if isinstance(gap, Tensor) else abs(gap)
+    length = float(gap.detach().abs().nan_to_num().max()) if isinstance(gap, Tensor) else abs(gap)
     return 1 if math.isnan(length) else max(1, math.ceil(length / longest - SLACK))
+
+
+def longest_part(gap: TimeStep, step: float) -> float:
+    """Return the maximum length of a part of a gap: `step` if the gap is 1.5 times as long, else infinity."""
+    return step if substeps(gap, 1.5 * step) > 1 else math.inf
 
 
 def substeps_of_each(gaps: Tensor, longest: float) -> Tensor:

@@ -86,7 +86,7 @@ def test_missing_samples_and_times_of_their_own_train(tmp_path):
     (row,) = run.results.rows
     truth, x, errors = states[-2:], states[-2:, 0], []
     for k in range(119):
-        x = run.flow(x, data.times[-2:, k + 1] - data.times[-2:, k])
+        x = run.dynamics(x, data.times[-2:, k + 1] - data.times[-2:, k])
         errors.append((x - truth[:, k + 1])[:, 0])
     rms = torch.stack([torch.zeros(2), *errors]).square().nanmean(0).sqrt()
     assert row.scores.position == pytest.approx(float(rms.mean()), rel=1e-9)
@@ -143,6 +143,8 @@ def test_a_run_is_the_model_that_was_trained(tmp_path):
     x = torch.tensor([[0.5, 0.0], [0.1, -0.3]], dtype=torch.float64)
     path = run.rollout(x, steps=3)
     close(path[:, 3], run.flow(run.flow(run.flow(x))), 1e-15)
+    close(run.flow(x, 3 * run.dt), path[:, 3], 1e-12)  # a long step is no single step of the integrator
+    close(run.rollout(x, 2, 30 * run.dt)[:, 2], run.rollout(x, 60)[:, 60], 1e-12)
     assert again.flow(x.numpy()).shape == (2, 2)
     position = run.results.row(Who("model", "true"))
     assert position is not None

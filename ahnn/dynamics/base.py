@@ -125,7 +125,7 @@ def require_step(step: float, dt: TimeStep) -> None:
         received = "steps that differ" if isinstance(dt, Tensor) else f"{dt:.6g}"
         message = (
             f"model: expected the step used in training, {step:.6g}; received {received}. A map has no time "
-            "axis: use node, hnn or ahnn for other steps"
+            "axis: give times at multiples of the step, or use node, hnn or ahnn"
         )
         raise UserError(message)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 from entry import call
+from helpers import close
 
 import ahnn
 from ahnn.checkpoints import read_weights, replace_weights
@@ -70,6 +71,7 @@ def test_a_run_has_bands_for_any_start(folder):
     assert float(band[:, 0].abs().max()) == 0
     assert bool((band[:, 1:].isfinite() & (band[:, 1:] > 0)).all())
     assert run.band(torch.zeros(0, 2), 3).shape == (0, 4, 2)
+    close(run.band([[0.5, 0.0], [1.0, 0.0]], 3, 10 * run.dt), band[:, ::10], 1e-6)
 
 
 def test_a_later_evaluation_finds_the_band_too(folder):
