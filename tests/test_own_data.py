@@ -215,6 +215,20 @@ def test_a_loss_that_cannot_take_a_step_on_the_data_leaves_nothing_behind(tmp_pa
     assert not (tmp_path / "run").exists()
 
 
+def test_a_run_finds_its_files_from_any_working_directory(tmp_path, monkeypatch, capfd):
+    for name in ("home", "elsewhere"):
+        (tmp_path / name).mkdir()
+    swings(tmp_path / "home" / "swings.csv", 4)
+    monkeypatch.chdir(tmp_path / "home")
+    small = ["model=hnn", "model.network.width=8", "trainer.max_epochs=1"]
+    assert call("ahnn.train", *SMALL, "system.path=swings.csv", *small, "run=mine") == 0
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert call("ahnn.evaluate", "run=../home/mine") == 0
+    (tmp_path / "home" / "swings.csv").rename(tmp_path / "home" / "moved.csv")
+    assert call("ahnn.evaluate", "run=../home/mine") == 2
+    assert "system.path: expected a file; received swings.csv" in capfd.readouterr().err
+
+
 def test_one_trajectory_makes_splits_only_when_it_is_cut(tmp_path, capfd):
     data = swings(tmp_path / "swings.csv", 4)
     data.write_text("".join(data.read_text().splitlines(keepends=True)[:62]))

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 SIMULATION = ("trajectories", "seed", "cache")
 """Keys of `data` for the number of simulated trajectories and their cache."""
+FILES = ("ahnn.data.files.Files", "ahnn.tracking.sightings.Sightings")
+"""Sources of `system` that read files of unknown equations."""
 SENSOR = {"measured": None, "noise": None, "every": 1, "stride": 1, "gaps": 0, "outliers": 0}
 SENSOR |= {"bias_sd": None, "correlation": None, "tails": None, "freedom": None}
 """Keys of `data` for the sensor of training, each with the value that has no effect."""
@@ -41,6 +43,13 @@ def build_source(cfg: DictConfig) -> Source:
     source = Simulated(built, **options)
     source.check()
     return source
+
+
+def known_system(cfg: DictConfig) -> System | None:
+    """Return the system with known equations of a configuration; None for files, which are not read."""
+    if str(cfg.system.get("_target_", "")) in FILES:
+        return None
+    return build_source(cfg).truth
 
 
 def build_sensor(cfg: DictConfig, source: Source) -> Sensor | None:

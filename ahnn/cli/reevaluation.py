@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import flatten, nearest
+from ahnn.cli.files_of_run import from_its_folder
 from ahnn.cli.importing import let_import
 from ahnn.cli.pairs import read_pairs
 from ahnn.cli.parts import SENSOR, SIMULATION
@@ -110,6 +111,7 @@ def run_config(folder: Path, request: Request) -> DictConfig:
         let_import(targets(content))
     else:
         require_trusted(path, content, (*NODES, *KEYS))
+    content["system"] = from_its_folder(content["system"], folder)
     cfg = OmegaConf.create({key: content[key] for key in (*NODES, *KEYS)})
     cfg = chosen_again(cfg, request.overrides) if request.overrides else cfg
     check_again(cfg)

@@ -21,8 +21,9 @@ from ahnn.cli.build import blaming, build, build_all, plain_config
 from ahnn.cli.compose import composed
 from ahnn.cli.orbit_following import read_following
 from ahnn.cli.pairs import require_input, require_known
-from ahnn.cli.parts import build_sensor, build_source
-from ahnn.cli.reevaluation import GROUPS, KEYS, NODES, OWN, Request, run_config
+from ahnn.cli.parts import build_sensor, build_source, known_system
+from ahnn.cli.reevaluation import GROUPS, KEYS, NODES, OWN, Request
+from ahnn.cli.saved_module import filter_config, is_saved
 from ahnn.cli.stream_gate import AskedGate, with_gate
 from ahnn.cli.unused_keys import refuse, unread_online
 from ahnn.data import SplitData
@@ -67,9 +68,8 @@ def read_stream(arguments: list[str], usage: str) -> Stream:
     run = load(request.source, request.ckpt)
     if remark := unfinished_training(run.folder):
         warn_once(remark)
-    cfg = run_config(run.folder, with_filter(request, run))
-    known = run.uncertainty is not None
-    named = bool(nodes) or options.stations is not None
+    cfg = filter_config(run.folder, with_filter(request, run))
+    known, named = run.uncertainty is not None, bool(nodes) or options.stations is not None
     refuse(unread_online(cfg.plugins, covariance=known, named=named), request.overrides)
     torch.set_num_threads(cfg.threads)
     require_places(options)
@@ -114,12 +114,12 @@ def asked(arguments: list[str], usage: str) -> tuple[AssimilationRequest, DictCo
 
 def with_filter(request: Request, run: Run) -> Request:
     """Add a default filter to a request if neither it nor the run names one."""
-    if run.config.get("plugins") or any(text.startswith("plugins=") for text in request.overrides):
+    has_own = not is_saved(run.folder) and run.config.get("plugins")
+    if has_own or any(text.startswith("plugins=") for text in request.overrides):
         return request
-    measured = run.uncertainty is not None and run.uncertainty.least_observable is not None
     given = any(text.startswith("plugins.ukf.process_noise=") for text in request.overrides)
-    chosen = OF_MEASUREMENTS if measured and not given else FILTER
-    return request._replace(overrides=[chosen, *request.overrides])
+    measured = run.uncertainty is not None and run.uncertainty.least_observable is not None and not given
+    return request._replace(overrides=[OF_MEASUREMENTS if measured else FILTER, *request.overrides])
 
 
 def _key(text: str) -> str:
@@ -217,7 +217,7 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
         require_orbit(run.space, reference)
     if asked.stations is None:
         turn_stations(nodes or {"measurement": cfg.measurement}, reference)
-        sensors = build_sensors(nodes, cfg, run, lambda: source().truth)
+        sensors = build_sensors(nodes, cfg, run, lambda: known_system(cfg))
     else:
         sensors = stations_of_file(asked.stations, run.space, reference)
     line = 0
@@ -225,7 +225,7 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
         found, line = fitted_start(run, sensors, asked.measurements, clock, asked.fitted)
         time = float(found.times)
     exact = found.covariances is None and not isinstance(asked.start, str)
-    truth = source().truth if exact else None
+    truth = known_system(cfg) if exact else None
     deviations = None if truth is None else truth.deviations().tolist()
     controls = None if asked.controls is None else known_controls(asked.controls, time, run)
 
