@@ -154,7 +154,8 @@ def check_arguments(
         raise UserError(message)
     if missing:
         received = ", ".join(arguments) or "no key"
-        message = f"{who}: expected key {missing[0]!r}; received {received}".removeprefix(": ")
+        message = f"{who}: expected key {missing[0]!r}; received {received}"
+        message = message if who else f"{message.removeprefix(': ')}. Add {missing[0]}=VALUE"
         raise UserError(message)
     check_values(who, target, arguments)
 

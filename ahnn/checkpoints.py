@@ -31,7 +31,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         UserError: the file is missing or damaged, or contains code to be executed.
     """
     if not path.exists() or path.is_dir():
-        message = f"checkpoint {path}: expected a file; received none. Name the run folder: run=DIR ckpt=last"
+        message = f"checkpoint {path}: expected best, last or a file; received none. Use run=DIR ckpt=last"
         raise UserError(message)
     try:
         require_regular(path)
@@ -114,12 +114,13 @@ class Weights(NamedTuple):
     about: dict[str, Any]
 
 
-def read_weights(path: Path) -> Weights:
+def read_weights(path: str | Path) -> Weights:
     """Return the weights in a checkpoint or in a safetensors file that `write_weights` wrote.
 
     Raises:
         UserError: the file is missing, damaged, of an unknown format, or contains tensors that are not real.
     """
+    path = Path(path)
     if path.suffix == ".safetensors":
         state, about = read_safetensors(path, "weights")
     else:
@@ -211,7 +212,9 @@ def require_same(who: str, expected: dict[str, Any], received: dict[str, Any], r
     """
     wanted, found = flatten(expected), flatten(received)
     rows = [
-        f"  {key}: expected {wanted.get(key, 'nothing')}, received {found.get(key, 'nothing')}"
+        f"  {key}: the content of the files has changed"
+        if key.endswith("recipe.files") and key in wanted and key in found
+        else f"  {key}: expected {wanted.get(key, 'nothing')}, received {found.get(key, 'nothing')}"
         for key in sorted(wanted.keys() | found.keys())
         if wanted.get(key) != found.get(key)
     ]

@@ -33,7 +33,9 @@ def test_a_good_checkpoint_is_read(tmp_path):
 
 
 def test_a_missing_checkpoint_is_named(tmp_path):
-    with pytest.raises(UserError, match=r"none\.ckpt: expected a file; received none.*ckpt=last"):
+    with pytest.raises(
+        UserError, match=r"none\.ckpt: expected best, last or a file; received none.*ckpt=last"
+    ):
         read_checkpoint(tmp_path / "none.ckpt")
     with pytest.raises(UserError, match="received none"):
         read_checkpoint(tmp_path)

@@ -95,7 +95,7 @@ MADE = "expected a key that applies to a finished run, not to its training; "
             "data.split=[0.2,0.2,0.6]",
             r"test trajectories not used in training.*11 of 12 were used",
         ),
-        ("ckpt=first.ckpt", r"first\.ckpt: expected a file; received none"),
+        ("ckpt=first.ckpt", r"first\.ckpt: expected best, last or a file; received none"),
         ("name=a/b", r"evaluation name: expected at most.*received 'a/b'"),
         ("threads=many", r"threads.*'many'"),
     ],

@@ -39,6 +39,8 @@ MISTAKES = {
     "optimizer=levenberg_marquardt optimizer.lr=1e-3": "this optimiser has no learning rate. Use recipe=fir",
     "network.width=32": "unknown key 'network.width'; did you mean 'model.network.width'?",
     "~seed": "expected key 'seed'",
+    "--run=runs/mine": "--run takes no value; a setting has no dashes: run=runs/mine",
+    "optimizer=adamw optimizer.betas=[0.9,": "expected a closed list, but the shell splits at blanks. Quote it:",
     "~scheduler": "configuration: Key 'scheduler' is not in struct",
     "+seed=3": "configuration: Could not append to config. An item is already at 'seed'",
     "model.loss.derivative=1": "did you mean 'loss.derivative'?",
@@ -262,9 +264,19 @@ def test_of_several_seeds_one_that_is_trained_stops_all_before_the_first(tmp_pat
     assert f"run={tmp_path / 'seed_7'} seed=7 seeds=null ckpt=last" in capfd.readouterr().err
 
 
+def test_a_sweep_checks_all_values_of_settings_before_its_first_job(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    assert call("ahnn.train", "-m", "seed=1,a", "budget=smoke", f"hydra.sweep.dir={tmp_path / 'sweep'}") == 2
+    assert capfd.readouterr().err.endswith("seed: expected int from 0 to 4294967295; received 'a' (str)\n")
+    assert call("ahnn.train", "run=", "budget=smoke") == 2
+    assert "run: expected a folder; received none" in capfd.readouterr().err
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
 def test_jobs_of_a_sweep_keep_the_line_that_names_them(tmp_path):
-    command = [sys.executable, "-m", "ahnn.train", "-m", "seed=x,y", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
+    wrong = ["model.network.width=x,y", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
+    command = [sys.executable, "-m", "ahnn.train", "-m", *wrong]
     done = subprocess.run(command, cwd=Path(tmp_path), capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert "Error executing job with overrides: ['seed=x']" in done.stderr
-    assert done.stderr.splitlines()[-1] == "ahnn: seed: expected int from 0 to 4294967295; received 'x' (str)"
+    assert "Error executing job with overrides: ['model.network.width=x']" in done.stderr
+    assert "width: expected int >= 1; received 'x' (str)" in done.stderr.splitlines()[-1]

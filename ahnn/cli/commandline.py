@@ -29,9 +29,11 @@ from ahnn.arguments import flatten
 from ahnn.cli.identical_jobs import warn_of_twins
 from ahnn.cli.importing import let_import
 from ahnn.cli.option_hints import nearest_key, once_each, unknown_option, unused_group
-from ahnn.cli.preflight import require_new
+from ahnn.cli.preflight import require_folder_name, require_new
+from ahnn.cli.recipe_checks import check_potential, check_recipe
 from ahnn.cli.settings import CommonSettings
 from ahnn.cli.sweep_syntax import sweep_fault
+from ahnn.cli.sweep_values import check_swept_values
 from ahnn.cli.trust import targets
 from ahnn.cli.unreferenced_keys import require_referenced
 from ahnn.errors import UserError
@@ -46,7 +48,10 @@ LISTS = ("run", "system.path")
 """Keys that accept several values."""
 BARE = re.compile(r"\s*(true|false|[+-]?(inf|nan|(\d[\d_]*\.?\d*|\.\d+)(e[+-]?\d+)?))\s*", re.IGNORECASE)
 """Pattern of numbers and truth values in Hydra's grammar."""
-NAMES_A_RECIPE = ("recipe=", "loss=")
+
+
+VALUED = re.compile(r"argument --(\w+)\S*: ignored explicit argument '(.*)'")
+"""Pattern of argparse's message for a flag with a value."""
 
 
 def read(argv: Sequence[str]) -> Namespace:
@@ -66,6 +71,8 @@ def read(argv: Sequence[str]) -> Namespace:
 
 
 def _refuse(message: str) -> NoReturn:
+    if flag := VALUED.fullmatch(message):
+        message = f"--{flag[1]} takes no value; a setting has no dashes: {flag[1]}={flag[2]}"
     text = f"command line: {message}; see --help"
     raise UserError(text)
 
@@ -94,7 +101,10 @@ def parse(text: str) -> Override:
     except HydraException as error:
         if fault := sweep_fault(text):
             raise UserError(fault) from error
-        if equals and key:
+        if value.startswith("[") and value.endswith(","):
+            example = shlex.quote(f"{key}=[1.0, 2.0]")
+            message = f"{text!r}: expected a closed list, but the shell splits at blanks. Quote it: {example}"
+        elif equals and key:
             escaped = value.replace("\\", "\\\\").replace('"', '\\"')
             quoted = shlex.quote(f'{key}="{escaped}"')
             message = f"{text!r}: special characters in a value need quotes. Type {quoted}"
@@ -158,6 +168,8 @@ def check(args: Namespace, config_name: str) -> DictConfig | None:
     others = ((place, option) for place, options in enumerate(values) for option in options[1:])
     jobs = (first, *([*first[:place], option, *first[place + 1 :]] for place, option in others))
     composed = [compose(loader, name, job) for job in jobs]
+    require_folder_name(composed[0])
+    check_swept_values(overrides)
     if args.multirun:
         folder = Path(composed[0].hydra.sweep.dir)
         require_folder(folder, "hydra.sweep.dir", [folder / "multirun.yaml"])
@@ -237,60 +249,6 @@ def check_additions(loader: ConfigLoaderImpl, overrides: Iterable[str]) -> None:
             known = {*signature(CommonSettings).parameters, *loader.list_groups("")}
             message = f"{text!r}: expected a key that is used{nearest_key(key, known)}"
             raise UserError(message)
-
-
-def check_recipe(cfg: DictConfig, overrides: Iterable[str]) -> None:
-    """Reject noise with an implicit recipe for exact samples, and `window` with a recipe for segments.
-
-    Raises:
-        UserError: such options; the message names them and the implicit recipe.
-    """
-    named = [text for text in overrides if text.startswith("window=")]
-    noise = OmegaConf.select(cfg, "data.noise")
-    if "stages" in (OmegaConf.select(cfg, "loss") or {}):
-        if named:
-            message = (
-                "window: expected none, since loss.stages sets the lengths of segments; received "
-                f"{named[-1]!r}. Set loss.stages, or choose a recipe for exact states, such as "
-                "recipe=second_order"
-            )
-            raise UserError(message)
-    elif noise is not None and not any(text.startswith(NAMES_A_RECIPE) for text in overrides):
-        choices = OmegaConf.select(cfg, "hydra.runtime.choices") or {}
-        if (sensor := choices.get("sensor") or "none") != "none":
-            message = (
-                f"data.noise: expected a loss for measurements; received model={choices.get('model')}, which "
-                f"sets loss={choices.get('loss')} in place of that of sensor={sensor}. Use model=ahnn, or "
-                "add loss=shooting"
-            )
-            raise UserError(message)
-        message = (
-            "data.noise: expected a recipe for noisy measurements; received noise with a recipe for exact "
-            "samples. Use recipe=measurements, recipe=noisy_states for densely sampled states, "
-            "recipe=dense_states for densely sampled orbits, or a sensor option (sensor=recorded for "
-            "files), which selects a recipe"
-        )
-        raise UserError(message)
-
-
-def check_potential(cfg: DictConfig, overrides: Iterable[str]) -> None:
-    """Reject an implicit sensor recipe that is known to fail from random initial weights.
-
-    Raises:
-        UserError: positions of orbits with unknown potential and shooting in the first stage.
-    """
-    choices = OmegaConf.select(cfg, "hydra.runtime.choices") or {}
-    meant = choices.get("sensor") == "orbit_positions" and choices.get("hamiltonian") == "mechanical"
-    stages = OmegaConf.select(cfg, "loss.stages") or [[None]]
-    begun = cfg.get("ckpt") is not None or cfg.get("weights") is not None
-    named = any(text.startswith(NAMES_A_RECIPE) for text in overrides)
-    if meant and isinstance(stages[0][0], int) and not begun and not named:
-        message = (
-            "recipe: expected a recipe that learns a full potential from orbital positions; received none, "
-            "and the sensor's default recipe does not find the orbits. Use recipe=noisy_positions, or "
-            "hamiltonian=central_body if the central body is known"
-        )
-        raise UserError(message)
 
 
 def first_line(error: BaseException) -> str:

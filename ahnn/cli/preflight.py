@@ -6,7 +6,7 @@ import logging
 import warnings
 from pathlib import Path
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from ahnn.cli.early_stops import held
 from ahnn.cli.importing import import_torchmetrics, importing
@@ -53,6 +53,13 @@ def quiet() -> None:
         logging.getLogger("ahnn").setLevel(logging.WARNING)
     for hint in HINTS:
         warnings.filterwarnings("ignore", hint)
+
+
+def require_folder_name(cfg: DictConfig) -> None:
+    """Raise UserError for an empty name of the run folder, which would be the working directory."""
+    if not OmegaConf.is_interpolation(cfg, "run") and cfg.get("run") == "":
+        message = "run: expected a folder; received none, as from an unset variable. Use run=runs/NAME"
+        raise UserError(message)
 
 
 def require_new(folder: Path, ckpt: str | None) -> None:

@@ -63,6 +63,10 @@ class Evaluation:
     detail: bool = False
 
 
+SCHEMAS = {"": CommonSettings, "data": Splits, "evaluation": Evaluation, "trainer": Training}
+"""Checks of settings by their place in the configuration."""
+
+
 def check_again(cfg: DictConfig) -> None:
     """Check settings that also apply to finished runs; raise the same errors as `check_settings`."""
     check_keys(plain_config(cfg), {"": Again, "data": Splits, "evaluation": Evaluation})
@@ -74,13 +78,12 @@ def check_settings(cfg: DictConfig) -> None:
     Raises:
         UserError: a wrong type, an impossible value, or one that contradicts the chosen model.
     """
-    schemas = {"": CommonSettings, "data": Splits, "evaluation": Evaluation, "trainer": Training}
     own = [name for name, key in signature(CommonSettings).parameters.items() if key.default is key.empty]
-    if missing := [name for name in (*own, *schemas) if name and name not in cfg]:  # the checks need them
+    if missing := [name for name in (*own, *SCHEMAS) if name and name not in cfg]:  # the checks need them
         message = f"configuration: expected key {missing[0]!r}; received none"
         raise UserError(message)
     values = plain_config(cfg)
-    check_keys(values, schemas)
+    check_keys(values, SCHEMAS)
     seeds = values.get("seeds") or []
     if len({*seeds}) < len(seeds):
         message = f"seeds: expected different seeds; received {seeds}"

@@ -60,9 +60,9 @@ def generated(system: System, count: int, seed: int) -> Iterator[Trajectories]:
                 now = stepped(flow, now, system.dt, clock and clock.at(k - 1))
                 states[:, k] = now
                 bar.advance(task)
-            require_finite(system, states, ends, begin)
             if begin == 0:
                 require_hamilton(system, states[states.isfinite().all(-1)])
+            require_finite(system, states, ends, begin)
             if int(ends.min()) < longest:
                 states[torch.arange(longest + 1) > ends.unsqueeze(-1)] = torch.nan
             yield part._replace(states=states)

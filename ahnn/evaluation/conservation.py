@@ -66,10 +66,10 @@ class Trend(NamedTuple):
         if not self.found:
             return ""
         per = "per unit of time" if unit == "1" else f"per {unit}"
-        verb, remedy = ("lose", "forces=friction") if self.rate < 0 else ("gain", "forces=network")
+        verb, remedy = ("falls", "forces=friction") if self.rate < 0 else ("rises", "forces=network")
         return (
-            f"the data {verb} {in_percent(abs(self.rate))} of their energy {per}, which a Hamiltonian "
-            f"without forces conserves: add {remedy}"
+            f"along the data the learned energy {verb} by {in_percent(abs(self.rate))} {per}, although a "
+            f"Hamiltonian without forces conserves it: add {remedy}"
         )
 
 

@@ -16,7 +16,7 @@ def summary(prediction: Prediction, starts: Starts, space: Space, title: str) ->
     """Return title, last state of the first trajectory with its standard deviations, and the novelty."""
     count, samples, _ = prediction.states.shape
     end = f"{float(prediction.times[-1]):g} {space.units.time}"
-    whose = f", {starts.names[0]} of {count} trajectories" if count > 1 else ""
+    whose = f", {count} trajectories, of which this is {starts.names[0]}" if count > 1 else ""
     begins = beginning(prediction, starts, space.units.time)
     lines = [f"{title}: {samples:,} states over {end}{whose}", begins]
     deviations = prediction.deviations
