@@ -40,7 +40,7 @@ MISTAKES = {
     "network.width=32": "unknown key 'network.width'; did you mean 'model.network.width'?",
     "~seed": "expected key 'seed'",
     "--run=runs/mine": "--run takes no value; a setting has no dashes: run=runs/mine",
-    "optimizer=adamw optimizer.betas=[0.9,": "expected a closed list, but the shell splits at blanks. Quote it:",
+    "optimizer=adamw optimizer.betas=[0.9,": "expected a closed list, but the shell splits at blanks",
     "~scheduler": "configuration: Key 'scheduler' is not in struct",
     "+seed=3": "configuration: Could not append to config. An item is already at 'seed'",
     "model.loss.derivative=1": "did you mean 'loss.derivative'?",
