@@ -17,9 +17,9 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -29,16 +29,16 @@ from ahnn.data.segments import shortened
 from ahnn.dynamics import Dynamics
 from ahnn.measurements import Segment
 from ahnn.progress import counted, foresee
-from ahnn.shooting.robust import RobustName, loss_of, variance
+from ahnn.shooting.robust import RobustName, loss_of
 from ahnn.training.acceleration import accelerated
-from ahnn.training.evidence import by_evidence, log_evidence
+from ahnn.training.evidence import by_evidence
 from ahnn.training.functions import ARRIVED, whole_step
 from ahnn.training.least_observable import least_observable_directions
 from ahnn.training.length_scales import choose_lengths
 from ahnn.training.levenberg_marquardt import ATTEMPTS, LARGEST, SUFFICIENT, adapted
-from ahnn.training.limited_segments import freedom
 from ahnn.training.maximum_posterior import PosteriorPoint, WideProblem, after, whole_problem, with_prior
-from ahnn.training.normal_equations import Equations, damped_step, promised_decrease
+from ahnn.training.normal_equations import damped_step, promised_decrease
+from ahnn.training.parameter_covariance import Noise, uncertainty
 from ahnn.training.shared_bias import spread_over
 from ahnn.uncertainty import Uncertainty
 from ahnn.uncertainty.posterior import is_unfinished
@@ -52,15 +52,12 @@ FURTHER = 10
 """Maximum number of further steps of each kind if the training would otherwise end before its optimum."""
 DIVISORS = (8, 4, 2)
 """Divisors of the trajectories' length for their segments, on which inaccurate paths stay near the data."""
-BETTER = ("remaining", 1.0), ("chi_square", 1.1)
-"""Maximum ratios of their result to that without them."""
+UNEVEN = 10.0
+"""Chi-square of the trajectory that fits worst, relative to the median, above which its path is lost."""
+WORSE = 1.1
+"""Maximum ratio of chi-squares after and before further steps that end nearer to the optimum."""
 HARDER = 10.0
 """Factor on the damping after a step beyond the linear range."""
-REFUSED = 3.0902
-"""Standard deviations above the expectation at which a factor is rejected: 99.9 %, one-sided.
-
-With 95 % the noise of held-out measurements would widen the bands of one correct model in twenty.
-"""
 
 
 @torch.no_grad()
@@ -83,7 +80,7 @@ def conclude(
     found = _concluded(dynamics, train, held_out, steps, robust)
     if found is None:
         return None
-    if is_unfinished(found.about):
+    if is_unfinished(found.about) or found.about["uneven"] > UNEVEN:
         found = _continued(found, dynamics, train, held_out, robust)
     learned, known = found.taken(dynamics)  # fits of the trajectories may need this step
     uncertain, _ = known.tangent or (dynamics, known)
@@ -95,9 +92,10 @@ def conclude(
 def _continued(
     found: Uncertainty, dynamics: Dynamics, train: Segment, held_out: Segment, robust: RobustName
 ) -> Uncertainty:
-    """Take further steps after an unfinished training, on segments of increasing length and on trajectories.
+    """Take further steps on segments of increasing length and on trajectories.
 
-    Returns the result nearer to its optimum, unless it fits worse.
+    A training may be unfinished, or end at an optimum where some trajectories have lost their paths. Returns
+    the better result.
     """
     log.info("the training has not reached its optimum: further steps follow, first on short segments")
     before = parameters_to_vector(dynamics.parameters())
@@ -109,10 +107,17 @@ def _continued(
     else:
         steps = FURTHER
     again = _concluded(dynamics, train, held_out, steps, robust)
-    if again is not None and all(again.about[key] <= bound * found.about[key] for key, bound in BETTER):
+    if again is not None and _is_better(again.about, found.about):
         return again
     vector_to_parameters(before, dynamics.parameters())
     return found
+
+
+def _is_better(after: Mapping[str, Any], before: Mapping[str, Any]) -> bool:
+    """Return whether further steps reach an optimum, or come nearer to it, without a worse fit."""
+    reached = not is_unfinished(after)
+    fits = after["chi_square"] <= (WORSE if is_unfinished(before) else 1.0) * before["chi_square"]
+    return fits and (reached or after["remaining"] <= before["remaining"])
 
 
 def _concluded(
@@ -208,89 +213,3 @@ def lower(problem: WideProblem, here: PosteriorPoint, damping: float) -> tuple[T
         if accepted:
             return theta, damping, decrease
     return None, damping, 0.0
-
-
-class Noise(NamedTuple):
-    """Noise statistics of training residuals, in addition to the mean cost per degree of freedom.
-
-    Attributes:
-        widening: factor on the covariance, 1 for squares (`ahnn.shooting.robust.variance`).
-        scatter: variance of a residual's contribution to the sum.
-    """
-
-    widening: float
-    scatter: float
-
-    @classmethod
-    def of(cls, problem: WideProblem, theta: Tensor) -> Noise:
-        """Estimate the noise of a problem at theta, shape (P,)."""
-        fitted = problem.refitted(theta)
-        residuals = problem.batch.white_residuals(fitted.states[:, problem.steps.ends])
-        sums = problem.limit.cost(fitted.sums)
-        return cls(variance(problem.robust, residuals), scatter(sums, freedom(problem.batch)))
-
-
-def scatter(sums: Tensor, degrees: Tensor) -> float:
-    """Estimate the variance of a residual's contribution to the sum from the sums of segments.
-
-    For squares of normally distributed residuals of variance v it is 2 v^2. The result is never smaller,
-    because a few segments may agree by chance. Outliers make it several times larger, even with a robust
-    loss.
-
-    Args:
-        sums: sums of segments, (B,).
-        degrees: degrees of freedom of segments, (B,).
-    """
-    typical = sums.sum() / degrees.sum()
-    found = (sums - typical * degrees).square().sum() / degrees.sum()
-    return float(torch.maximum(found, 2 * typical**2))
-
-
-def uncertainty(here: PosteriorPoint, held_out: Equations, names: Sequence[str], noise: Noise) -> Uncertainty:
-    """Return the covariance at a point, widened as required by the held-out measurements.
-
-    Args:
-        here: final point of the training.
-        held_out: quadratic model of the held-out measurements.
-        names: names of the parameter groups.
-        noise: noise statistics of the training.
-    """
-    inflation = max(here.chi_square * noise.widening, 1.0)
-    spread = Uncertainty(here.factor, here.offset, inflation, {}).spread
-    unexplained = held_out_scale(spread, held_out, here.chi_square, noise.scatter)
-    about = {
-        "parameters": len(here.theta),
-        "determined": here.determined,
-        "chi_square": here.chi_square,
-        "remaining": here.remaining,
-        "held_out": unexplained,
-        "strengths": dict(zip(names, here.prior.strengths.tolist(), strict=True)),
-        "log_evidence": log_evidence(here.block.matrix, here.loss, here.degrees, here.theta, here.prior),
-    }
-    return Uncertainty(here.factor, here.offset, inflation * unexplained, about)
-
-
-def held_out_scale(factor: Tensor, test: Equations, noise: float, scatter: float) -> float:
-    """Return the least factor >= 1 on a covariance L L^T that held-out measurements do not reject.
-
-    If theta has error N(0, f L L^T), the expected sum of squares of n residuals with noise variance v is n v
-    + f tr M, M = L^T J^T J L, with variance n s + 2 (2 v f tr M + f^2 tr M^2), where s is the variance of a
-    square. The observed sum is `REFUSED` standard deviations above the expectation for the f returned.
-
-    Args:
-        factor: L, shape (P, R).
-        test: quadratic model of the held-out measurements.
-        noise: v, estimated by the training.
-        scatter: s, estimated by the training.
-    """
-    if not test.blocks:
-        return 1.0
-    predicted = factor.mT @ test.blocks[0].matrix @ factor
-    expected, squares = float(predicted.diagonal().sum()), float(predicted.square().sum())
-    excess = float(test.loss) - test.degrees * noise
-    beyond = excess**2 - REFUSED**2 * test.degrees * scatter
-    if excess <= 0 or beyond <= 0:
-        return 1.0
-    # The root of a f^2 - 2 b f + c = 0 for which the observed sum exceeds the expectation.
-    a, b = expected**2 - 2 * REFUSED**2 * squares, expected * (excess + 2 * REFUSED**2 * noise)
-    return max(1.0, beyond / (b + (b**2 - a * beyond) ** 0.5))

@@ -40,6 +40,24 @@ def test_further_steps_that_do_not_help_are_undone(monkeypatch):
     assert found.about["remaining"] > found.about["determined"]
 
 
+def test_a_lost_path_is_noticed_at_an_optimum_and_a_worse_fit_is_not_taken(monkeypatch, caplog):
+    batch, other = batch_of(0), batch_of(1, rows=10)
+    fitted = learned(batch, 7)
+    before, found = flat(fitted), conclude(fitted, batch, other, 0)
+    assert 1.0 < found.about["uneven"] < laplace.UNEVEN
+    values = batch.values.clone()
+    values[0, 10:] += 100 * batch.instrument.deviations
+    with caplog.at_level("INFO"):
+        strange = conclude(fitted, batch._replace(values=values), other, 0)
+    assert "further steps follow" in caplog.text
+    assert strange is not None
+    monkeypatch.setattr(laplace, "UNEVEN", 0.0)
+    again = conclude(fitted, batch, other, 0)
+    assert again.about["chi_square"] <= found.about["chi_square"] * (1 + 1e-3)
+    gap = torch.linalg.solve(found.factor, flat(fitted) - before)
+    assert float(gap.square().sum()) < 0.2
+
+
 def test_segments_of_a_fraction_of_the_length_hold_about_all_measurements():
     batch = batch_of(0, rows=12)
     for share in (2, 4, 8):
@@ -55,7 +73,7 @@ def test_segments_of_a_fraction_of_the_length_hold_about_all_measurements():
 def test_a_nearer_optimum_that_fits_worse_is_not_taken(monkeypatch):
     batch, other = batch_of(0), batch_of(1, rows=10)
     before = flat(early := Swing(2.01, 0.49))
-    monkeypatch.setattr(laplace, "BETTER", (("remaining", 1.0), ("chi_square", 0.1)))
+    monkeypatch.setattr(laplace, "WORSE", 0.1)
     found = conclude(early, batch, other, 0)
     assert torch.equal(flat(early), before)
     assert found.about["remaining"] > found.about["determined"]

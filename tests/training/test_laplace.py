@@ -12,9 +12,10 @@ from ahnn.measurements import Position
 from ahnn.shooting.robust import ROBUST
 from ahnn.training import LevenbergMarquardt, laplace
 from ahnn.training.evidence import Prior, by_evidence
-from ahnn.training.laplace import Noise, conclude, held_out_scale, scatter, uncertainty
+from ahnn.training.laplace import conclude
 from ahnn.training.maximum_posterior import PosteriorPoint, WideProblem, with_prior
 from ahnn.training.normal_equations import Block, Equations
+from ahnn.training.parameter_covariance import Noise, held_out_scale, scatter, uncertainty
 from ahnn.training.shooting import ShootingProblem
 
 DOUBLE = {"dtype": torch.float64}
@@ -198,7 +199,8 @@ def test_the_covariance_is_widened_by_chi_square_and_by_what_is_held_out(
     loss, chi_square, unexplained, widening, monkeypatch
 ):
     asked = []
-    monkeypatch.setattr(laplace, "held_out_scale", lambda *given: asked.append(given) or unexplained)
+    scale = "ahnn.training.parameter_covariance.held_out_scale"
+    monkeypatch.setattr(scale, lambda *given: asked.append(given) or unexplained)
     held_out = Equations(torch.ones(()), 1, [])
     found = uncertainty(place(loss=torch.tensor(loss, **DOUBLE)), held_out, {"a": 0.5}, Noise(widening, 7.0))
     wide = max(chi_square * widening, 1.0)
