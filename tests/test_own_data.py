@@ -64,6 +64,9 @@ def test_states_of_a_file_train_resume_and_are_known_again(tmp_path, capfd):
     assert call("ahnn.evaluate", run, "name=same") == 0
     assert call("ahnn.evaluate", run, "name=cut", "system.cut=30") == 2
     assert "system: expected the training files with their settings" in capfd.readouterr().err
+    swings(tmp_path / "swings.csv", 4, noise=1e-3)
+    assert call("ahnn.train", *given, "trainer.max_epochs=2", "ckpt=last") == 2
+    assert "data.recipe.files: the content of the files has changed" in capfd.readouterr().err
     data.write_text(data.read_text().replace("0,0.05,", "0,0.051,", 1))
     assert call("ahnn.train", *given, "trainer.max_epochs=1", "ckpt=last") == 2
     assert "files" in capfd.readouterr().err

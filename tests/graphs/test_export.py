@@ -170,7 +170,7 @@ def test_what_fails_in_the_middle_leaves_nothing(tmp_path, cache, monkeypatch):
         ([], "usage: python -m ahnn.export"),
         (["output=x"], "expected run=DIR or pretrained=NAME; received neither"),
         (["run=.", "pretrained=molniya_mechanical", "output=x"], "received both"),
-        (["pretrained=molniya_mechanical"], "expected key 'output'"),
+        (["pretrained=molniya_mechanical"], "expected key 'output'; received pretrained. Add output=VALUE"),
         (["pretrained=molniya_mechanical", "ouput=x"], "did you mean 'output'?"),
         (["pretrained=molniya_mechanical", "output=."], "output: expected a new folder"),
         (["run=[a,b]", "output=x"], "run: expected str or None"),
