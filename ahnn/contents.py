@@ -58,13 +58,13 @@ def read_whole(path: Path, most: int = LARGEST) -> bytes:
     return content
 
 
-def read_plain(path: Path) -> dict[str, Any]:
-    """Return the mapping of plain values in a YAML file.
+def read_plain(path: Path, expected: str = "the configuration of a run") -> dict[str, Any]:
+    """Return the mapping of plain values in a YAML file, which should contain what is `expected`.
 
     Raises:
         UserError: the file is missing, or is not such a mapping.
     """
-    return _keys(path, "the configuration of a run", plain_yaml, LARGEST)
+    return _keys(path, expected, plain_yaml, LARGEST)
 
 
 def read_json(path: Path) -> dict[str, Any]:

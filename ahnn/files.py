@@ -153,6 +153,24 @@ def require_writable(folder: Path) -> None:
 
 
 @contextlib.contextmanager
+def writable_folder(folder: Path) -> Iterator[None]:
+    """Create a folder, check that it is writable, and remove it if the body fails and has left it empty.
+
+    Raises:
+        UserError: the folder cannot be created or written to.
+    """
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        require_writable(folder)
+        yield
+    except BaseException:
+        with contextlib.suppress(OSError):
+            for path in made:
+                path.rmdir()
+        raise
+
+
+@contextlib.contextmanager
 def whole_folder(folder: Path) -> Iterator[Path]:
     """Yield an empty temporary folder that is renamed to the target on success and removed otherwise."""
     folder.parent.mkdir(parents=True, exist_ok=True)

@@ -26,7 +26,7 @@ def read_orbit(arguments: list[str], usage: str) -> OrbitRequest:
     if len(paths) != 1:
         message = f"{usage}; received: {' '.join(arguments) or 'nothing'}"
         raise UserError(message)
-    values, own = read_plain(paths[0]), dict[str, Any]()
+    values, own = read_plain(paths[0], "the settings of an orbit determination"), dict[str, Any]()
     for key, value in map(pair, texts):
         if key in OWN:
             own[key] = Path(str(value)).expanduser()

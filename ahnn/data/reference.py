@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from ahnn.data.files.epochs import DAY, SECOND, instant, leaps, spelled
 from ahnn.data.files.frame_names import INERTIAL, NAMES, ROTATING, canonical, known
-from ahnn.data.files.frames import TO_TT
+from ahnn.data.files.frames import CLOCKS, TO_TT
 from ahnn.errors import UserError
 
 log = logging.getLogger("ahnn")
@@ -99,8 +99,11 @@ class Reference(NamedTuple):
         """Combine the reference of a run with the user's settings, which take precedence.
 
         Raises:
-            UserError: a frame or centre that differs from that of the run.
+            UserError: a frame or centre that differs from that of the run, or an unknown time scale.
         """
+        if keys.clock and keys.clock not in CLOCKS:
+            message = f"time system: expected one of {', '.join(CLOCKS)}; received {keys.clock}"
+            raise UserError(message)
         for name in ("frame", "center"):
             ours, theirs = getattr(self, name), getattr(keys, name)
             if ours and theirs and alias(ours) != alias(theirs):

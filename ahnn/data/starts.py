@@ -57,8 +57,11 @@ def starts(
         last: whether to use the last state of each trajectory in a file, instead of the first.
 
     Raises:
-        UserError: invalid states for the space, or an incompatible frame or centre.
+        UserError: no or invalid states for the space, or an incompatible frame or centre.
     """
+    if given is None:
+        message = "start: expected an initial state; received none. Add start=[NUMBERS] or start=FILE"
+        raise UserError(message)
     path = Path(given).expanduser() if isinstance(given, str) else None
     if path is not None and not path.is_file():
         reason = "not a regular file" if path.exists() else "No such file"

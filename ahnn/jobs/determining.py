@@ -14,7 +14,7 @@ from ahnn.data.files.messages import write_oem
 from ahnn.data.files.units import unit
 from ahnn.errors import TrainingError, UserError
 from ahnn.evaluation.terminal import show
-from ahnn.files import require_writable, write_atomically
+from ahnn.files import writable_folder, write_atomically
 from ahnn.manifest import require_own
 from ahnn.tracking.accelerations.acceleration_of_time import orbital_axes
 from ahnn.tracking.formats.finals import installed_orientation
@@ -65,9 +65,14 @@ def determine(asked: OrbitRequest) -> None:
         UserError: an invalid file or output folder.
         TrainingError: the fit failed.
     """
-    if asked.out is not None:
-        require_writable(asked.out)
+    if asked.out is None:
+        return _determine(asked)
+    with writable_folder(asked.out):
         require_own([asked.out / name for name in FILES], "out")
+        _determine(asked)
+
+
+def _determine(asked: OrbitRequest) -> None:
     ready = prepared_orbit(asked.setup, asked.folder)
     for remark in ready.problem.model.data.remarks:
         log.info("%s: %s", asked.setup.measurements, remark)

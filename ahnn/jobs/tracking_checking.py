@@ -9,6 +9,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 
 from ahnn.data.doctor import Finding
+from ahnn.data.doctor.finding import is_consequence
 from ahnn.data.doctor.spans import duration
 from ahnn.data.files import epochs
 from ahnn.data.files.kinds import ABOUT, kind_of
@@ -42,7 +43,8 @@ def tracking_check(path: Path) -> tuple[list[Finding], RenderableType]:
             shown.append(f"{path.name}: {holds}")
             said.append(Remark(Place(str(path)), f"not used: {unused}"))
     except Fault as fault:
-        said.append(fault)
+        if not is_consequence(fault, said):
+            said.append(fault)
     found = [*map(Finding.of, said), *found]
     body = [*shown, ""] if shown else []
     findings = [listed(found), ""] if found else []

@@ -70,7 +70,8 @@ class StationEntry:
 
 def read_stations(path: str | Path) -> dict[str, StationEntry]:
     """Return the stations of a file. An invalid entry raises UserError, which names it."""
-    return {name: entry_of(value, f"{path}: {name}") for name, value in read_plain(Path(path)).items()}
+    found = read_plain(Path(path), "stations")
+    return {name: entry_of(value, f"{path}: {name}") for name, value in found.items()}
 
 
 def entry_of(value: Any, who: str) -> StationEntry:

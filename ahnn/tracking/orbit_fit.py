@@ -227,5 +227,8 @@ def lower(
         there = linearised(problem, x)
         if cost(there) <= before * (1 + 1e-9) + 1e-9:
             return there
-    message = "orbit: expected a step that lowers the residuals; received none. Give a closer start"
+    message = (
+        "orbit: expected a step that lowers the residuals; received none. Check the coordinates of the "
+        "stations, the units and the clock, or give a closer start"
+    )
     raise TrainingError(message)

@@ -79,6 +79,8 @@ def test_identifier_and_name_of_an_object_pass_from_file_to_file():
 
 def test_an_object_without_a_name_is_unknown_in_messages_and_several_are_numbered():
     dated = [MOLNIYA, "epoch=2024-03-01T12:00:00", "frame=[EME2000,EARTH,UTC]", *SHORT, "output=ahead.oem"]
+    assert call("ahnn.predict", *[word.replace(",UTC", ",MOONTIME") for word in dated]) == 2
+    assert not Path("ahead.oem").exists()
     one, two = STATE.tolist(), [STATE.tolist()] * 2
     for start, names in ((one, ["UNKNOWN"]), (two, ["1", "2"])):
         assert call("ahnn.predict", *dated, f"start={start}") == 0

@@ -102,10 +102,12 @@ def test_an_orbit_is_found_and_written(folder, tmp_path, capsys):
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(folder, words, said, capsys):
-    assert call("ahnn.orbit", str(folder / "setup.yaml"), *words) == 2
+    assert call("ahnn.orbit", str(folder / "setup.yaml"), *words, f"out={folder / 'new' / 'out'}") == 2
     error = capsys.readouterr().err
     assert said in error
     assert "Traceback" not in error
+    assert "system.path" not in error
+    assert not (folder / "new").exists()
 
 
 @pytest.mark.parametrize(
@@ -126,7 +128,12 @@ def test_a_failed_fit_names_its_cause_in_place_of_a_remedy_that_does_not_help(
 
     monkeypatch.setattr(determining, "orbit_fit", failed)
     monkeypatch.setattr(determining, "suspected_mistakes", lambda *_: mistakes)
-    assert call("ahnn.orbit", str(folder / "setup.yaml")) == 3
+    (folder / "old").mkdir(exist_ok=True)
+    (folder / "old" / "notes.txt").write_text("mine")
+    for name in ("old", "new"):
+        assert call("ahnn.orbit", str(folder / "setup.yaml"), f"out={folder / name}") == 3
+    assert [path.name for path in (folder / "old").iterdir()] == ["notes.txt"]
+    assert not (folder / "new").exists()
     error = capsys.readouterr().err
     assert said in error
     assert ("closer start" in error) == (not mistakes)

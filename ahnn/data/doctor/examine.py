@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ahnn.data.doctor.finding import Finding
+from ahnn.data.doctor.finding import Finding, is_consequence
 from ahnn.data.doctor.leakage import leakage_findings
 from ahnn.data.doctor.orbits import orbit_findings
 from ahnn.data.doctor.samples import sample_findings, too_few
@@ -62,7 +62,8 @@ def examine(
         try:
             contents.append(parsed(path, raw, aside, reading, said.append))
         except Fault as fault:
-            said.append(fault)
+            if not is_consequence(fault, said):
+                said.append(fault)
     contents = [content for content in contents if any(len(track.times) for track in content.tracks)]
     contents = since_first(contents)
     found = [Finding.of(one) for one in said]

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Literal, NamedTuple
 
 from ahnn.data.files.table import Fault, Remark
 
 Level = Literal["fault", "warning", "note"]
 """Severity levels: a fault would spoil the training, a warning may, a note is informative."""
+
+
+def is_consequence(fault: Fault, before: Iterable[Fault | Remark]) -> bool:
+    """Return whether a fault only says that the rows with earlier faults leave nothing in the file."""
+    faults = (one for one in before if isinstance(one, Fault))
+    return fault.received == "none" and any(one.place.file == fault.place.file for one in faults)
 
 
 class Finding(NamedTuple):

@@ -114,7 +114,7 @@ def too_few(contents: Sequence[Content]) -> Iterator[Finding]:
     elif len(tracks) == 1:
         what = "only one trajectory for training, validation and test"
         yield Finding(
-            "warning", file, head, "", what, "Cut it with system.cut=SAMPLES, or give more trajectories"
+            "warning", file, head, "", what, "Train with system.cut=SAMPLES, or give more trajectories"
         )
 
 

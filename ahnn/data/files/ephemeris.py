@@ -13,6 +13,7 @@ from ahnn.arguments import nearest
 from ahnn.data.files import epochs
 from ahnn.data.files.content import Content
 from ahnn.data.files.frame_names import canonical
+from ahnn.data.files.frames import CLOCKS
 from ahnn.data.files.samples import Array, Track, ordered
 from ahnn.data.files.table import Fault, Note, Place, Remark, number, refuse
 from ahnn.types import Units
@@ -214,6 +215,9 @@ def remarks(blocks: list[MessageBlock], *, covariances: bool = True) -> list[Rem
         fixed = canonical(block.meta.get("REF_FRAME", "").upper()) in FIXED  # independent of a date
         unused = (*UNUSED, "REF_FRAME_EPOCH") if fixed else UNUSED
         names |= block.unused | {key: None for key in unused if key in block.meta}
+        if (clock := canonical(block.meta.get("TIME_SYSTEM", "").upper())) not in CLOCKS:
+            what = f"{clock or 'none'} is not a time system of CCSDS messages"
+            found.append(Remark(block.place, what, f"Use one of {', '.join(CLOCKS)}", "warning"))
         for key in block.meta:
             if key not in (*USED, *UNUSED):
                 what = f"{key} is not an OEM keyword and is ignored{nearest(key, USED)}"

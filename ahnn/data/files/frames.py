@@ -26,6 +26,8 @@ TURN = 7.292115146706979e-5
 """Rate of the Earth's rotation angle in rad/s (IERS Conventions 2010, 5.15)."""
 TO_TT = {"UTC": 42.184, "TAI": 32.184, "GPS": 51.184, "TT": 0.0, "TDB": 0.0}
 """Offsets in seconds from a time scale to terrestrial time; for UTC including all leap seconds."""
+CLOCKS = (*TO_TT, "TCB", "TCG", "UT1", "GMST", "MET", "MRT", "SCLK")
+"""Time systems of CCSDS orbit data messages (502.0-B, 3.2.3.2)."""
 JULIAN = 2451544.5
 """Julian date of the first day of 2000."""
 

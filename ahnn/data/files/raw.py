@@ -10,12 +10,12 @@ from ahnn.errors import UserError
 from ahnn.memory import available
 
 
-def content_of(path: Path) -> bytes:
-    """Return the bytes of a file; raises UserError if it cannot be read."""
+def content_of(path: Path, key: str = "") -> bytes:
+    """Return the bytes of a file; raises UserError, which names the key of its path, if it cannot be read."""
     try:
         return read_whole(path, available())
     except OSError as error:
-        message = f"system.path: expected a file; received {path}: {error.strerror}"
+        message = f"{key or 'file'}: expected a file; received {path}: {error.strerror}"
         raise UserError(message) from error
 
 

@@ -42,9 +42,9 @@ class FileReading(NamedTuple):
     of_starts: bool = False
 
 
-def bytes_of(path: Path) -> tuple[bytes, bytes | None]:
-    """Read a file and, if present, its sidecar; raises UserError."""
-    raw, aside = content_of(path), sidecar.beside(path)
+def bytes_of(path: Path, key: str = "") -> tuple[bytes, bytes | None]:
+    """Read a file, which a key names, and, if present, its sidecar; raises UserError."""
+    raw, aside = content_of(path, key), sidecar.beside(path)
     return raw, content_of(aside) if aside != path and aside.is_file() else None
 
 

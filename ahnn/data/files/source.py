@@ -66,7 +66,7 @@ class Files(Recordings):
         digest = hashlib.sha256()
         contents = []
         for file in self.paths:
-            raw, aside = bytes_of(file)
+            raw, aside = bytes_of(file, "system.path")
             digest.update(
                 hashlib.sha256(raw).digest() + (hashlib.sha256(aside).digest() if aside is not None else b"")
             )
