@@ -93,10 +93,14 @@ def plain_yaml(text: str) -> Any:
     """Return the plain values of an untrusted YAML text; no object is constructed.
 
     Raises:
-        yaml.YAMLError: invalid YAML, a duplicate key, an object tag, or an alias, which could expand a small
-            file to a huge value.
+        yaml.YAMLError: invalid YAML or value, a duplicate key, an object tag, or an alias, which could expand
+            a small file to a huge value.
     """
-    return yaml.load(text, _Plain)
+    try:
+        return yaml.load(text, _Plain)
+    except ValueError as error:  # for example a date in month 13
+        message = f"an invalid value: {error}"
+        raise yaml.YAMLError(message) from error
 
 
 class _Plain(yaml.SafeLoader):

@@ -13,6 +13,7 @@ from hydra.utils import get_object
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from ahnn.cli.build import build, build_all, factories, plain_config
+from ahnn.cli.compose import composed
 from ahnn.cli.parts import SENSOR, SIMULATION, build_sensor, build_source
 from ahnn.cli.prepare import build_model, parts_of, prepare
 from ahnn.data.splits import split_sizes
@@ -163,3 +164,8 @@ def test_measurements_are_learned_from_on_the_cpu_where_there_is_a_gpu(tmp_path,
     assert trainer.strategy.root_device.type == "cpu"
     with pytest.raises(UserError, match=r"^trainer: .*(gpu|cuda|GPU|CUDA)"):
         prepare(job(composed(tmp_path, *parts)))
+
+
+def test_a_list_without_brackets_is_refused_with_them():
+    with pytest.raises(UserError, match=r"A list has brackets: start_sd=\[1,0\.001\]"):
+        composed("assimilate", ["start_sd=1,0.001"])

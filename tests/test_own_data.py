@@ -132,7 +132,7 @@ def test_a_model_of_recorded_positions_filters_as_well_as_its_covariance_says(tm
     assert call("ahnn.assimilate", run, *stream, "plugins=ukf", f"output={tmp_path / 'none.csv'}") == 2
     told = capfd.readouterr().err
     assert (
-        "received fitted. Use plugins=ukf_parameter_error or plugins.ukf.process_noise=[POSITION,VELOCITY]"
+        "received fitted. Use plugins=ukf_parameter_error or process_noise=[POSITION,VELOCITY] of the plugin"
         in told
     )
     off = [text.replace(f"sd={SD}", f"sd={SD / 3}") for text in stream]

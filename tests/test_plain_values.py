@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
+import yaml
 
 from ahnn.contents import plain_yaml
 
@@ -19,3 +20,8 @@ def test_json_says_the_same_as_its_own_reader(text):
 @pytest.mark.parametrize("text", ["e5", "1e", "a1e5", "1e5 km", "1.0.0e5"])
 def test_what_is_no_number_is_a_text(text):
     assert plain_yaml(text) == text
+
+
+def test_a_date_that_does_not_exist_is_invalid_yaml():
+    with pytest.raises(yaml.YAMLError, match=r"an invalid value: month must be in 1\.\.12"):
+        plain_yaml("epoch: 2024-13-11T00:00:00")

@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from ahnn.cli.commandline import alternatives, compose, config_loader, parse, worded
 from ahnn.cli.unreferenced_keys import require_referenced
+from ahnn.errors import UserError
 
 LEARNS = ("sensor", "recipe", "loss", "experiment")
 """Groups that define how to learn from noisy data."""
@@ -33,7 +34,12 @@ def composed(name: str, overrides: Sequence[str], *, partly: bool = False) -> Di
     """
     loader, texts = config_loader(), with_recorded([worded(text) for text in overrides])
     for text in texts:
-        alternatives(parse(text), loader)
+        override = parse(text)
+        if override.is_sweep_override():
+            key, _, value = text.partition("=")
+            message = f"{text!r}: expected one value; received several. A list has brackets: {key}=[{value}]"
+            raise UserError(message)
+        alternatives(override, loader)
     cfg = compose(loader, name, texts)
     if not partly:
         require_referenced([cfg], texts)

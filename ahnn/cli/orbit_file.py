@@ -30,6 +30,9 @@ def read_orbit(arguments: list[str], usage: str) -> OrbitRequest:
     for key, value in map(pair, texts):
         if key in OWN:
             own[key] = Path(str(value)).expanduser()
+            if not str(value):
+                message = f"{key}: expected a folder; received none, as from an unset variable"
+                raise UserError(message)
         else:
             put(values, key, value)
     folder = own.get("folder", paths[0].parent)

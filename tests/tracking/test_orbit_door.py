@@ -139,6 +139,11 @@ def test_a_failed_fit_names_its_cause_in_place_of_a_remedy_that_does_not_help(
     assert ("closer start" in error) == (not mistakes)
 
 
+def test_an_empty_name_of_the_output_folder_is_refused(folder, capsys):
+    assert call("ahnn.orbit", str(folder / "setup.yaml"), "out=") == 2
+    assert "out: expected a folder; received none" in capsys.readouterr().err
+
+
 def test_a_command_without_a_file_says_how(capsys):
     assert call("ahnn.orbit") == 2
     assert "usage: python -m ahnn.orbit FILE.yaml" in capsys.readouterr().err

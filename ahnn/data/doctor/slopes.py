@@ -14,6 +14,8 @@ CENTRES = 64
 """Number of samples of a trajectory where derivatives are computed."""
 LEAST = 12
 """Minimum number of derivatives for a longer stride, so that none is chosen by chance."""
+RISEN = 2.0
+"""Increase of the uncertainty that ends the search for a stride; a smaller one may be chance."""
 WIDE = 3.0
 """Multiple of the typical width above which a stencil spans a gap."""
 
@@ -48,8 +50,9 @@ class Slopes(NamedTuple):
 def slopes(times: Array, values: Array, order: int) -> Slopes | None:
     """Return derivatives for the stride at which three- and five-point stencils differ least.
 
-    Short strides amplify noise, long ones the error due to curvature; the uncertainties include both. Returns
-    None for fewer than seven samples.
+    Short strides amplify noise, long ones the error due to curvature; the uncertainties include both. Strides
+    beyond the first minimum are not tried: of a period of the motion, they would see only a slow drift.
+    Returns None for fewer than seven samples.
 
     Args:
         times: (T,) increasing times.
@@ -58,9 +61,13 @@ def slopes(times: Array, values: Array, order: int) -> Slopes | None:
     """
     if len(times) < 7:
         return None
-    strides = [1, *(2**k for k in range(1, 12) if 4 * 2**k + LEAST <= len(times))]
-    found = [over(times, values, stride, order) for stride in strides]
-    return min(found, key=lambda one: one.doubt)
+    best = over(times, values, 1, order)
+    for stride in (2**k for k in range(1, 12) if 4 * 2**k + LEAST <= len(times)):
+        longer = over(times, values, stride, order)
+        if longer.doubt > RISEN * best.doubt:
+            break
+        best = min(best, longer, key=lambda one: one.doubt)
+    return best
 
 
 def over(times: Array, values: Array, stride: int, order: int) -> Slopes:

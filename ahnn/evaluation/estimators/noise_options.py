@@ -219,6 +219,6 @@ def require_truth(option: NoiseOption, truth: System | None) -> None:
             "process_noise: for data without known true states, expected standard deviations or (after "
             "training on measurements) parameter_error; received "
             f"{received.get(type(option).__name__, option)}. Use plugins=ukf_parameter_error or "
-            "plugins.ukf.process_noise=[POSITION,VELOCITY]"
+            "process_noise=[POSITION,VELOCITY] of the plugin"
         )
         raise UserError(message)

@@ -7,6 +7,7 @@ import pytest
 
 from ahnn.data import Files
 from ahnn.data.doctor.orbits import MU, hypothesis, misfit, orbit_findings
+from ahnn.data.doctor.slopes import slopes
 from ahnn.data.files.content import Content
 from ahnn.data.files.frames import TURN
 from ahnn.data.files.samples import Track
@@ -45,6 +46,29 @@ def circle(radius=7000.0, mu=MU["EARTH"], count=80, tilt=0.6):
     t = 2 * np.pi / rate / count * np.arange(count)
     c, s = np.cos(rate * t), np.sin(rate * t)
     return t, radius * np.stack((c, s * np.cos(tilt), s * np.sin(tilt)), axis=1)
+
+
+def transfer_orbit(step, count=600, axis=24400.0, eccentricity=0.73, mu=MU["EARTH"]):
+    """Times and positions of an eccentric orbit over several revolutions, by Kepler's equation."""
+    t = step * np.arange(count)
+    mean = np.sqrt(mu / axis**3) * t
+    e = mean + eccentricity * np.sin(mean)
+    for _ in range(60):
+        e -= (e - eccentricity * np.sin(e) - mean) / (1 - eccentricity * np.cos(e))
+    x, y = axis * (np.cos(e) - eccentricity), axis * np.sqrt(1 - eccentricity**2) * np.sin(e)
+    return t, np.stack((x, y * np.cos(0.5), y * np.sin(0.5)), axis=1)
+
+
+@pytest.mark.parametrize("step", [60.0, 180.0, 300.0])
+def test_derivatives_are_not_taken_over_periods_of_the_motion(step):
+    """A stride of about one revolution sees a slow drift, which is smooth."""
+    t, q = transfer_orbit(step)
+    assert hypothesis(t, q, "EARTH", turning=False) == ""
+    assert "1000 times too large" in hypothesis(t, 1000 * q, "EARTH", turning=False)
+    v = slopes(t, q, 1)
+    assert v is not None
+    speed = np.sqrt(MU["EARTH"] * (2 / np.linalg.norm(q[v.at], axis=1) - 1 / 24400.0))
+    assert np.median(np.abs(np.linalg.norm(v.values, axis=1) / speed - 1)) < 0.01
 
 
 MISTAKES = [
