@@ -12,8 +12,8 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import get_object
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
+from ahnn.cli import compose
 from ahnn.cli.build import build, build_all, factories, plain_config
-from ahnn.cli.compose import composed
 from ahnn.cli.parts import SENSOR, SIMULATION, build_sensor, build_source
 from ahnn.cli.prepare import build_model, parts_of, prepare
 from ahnn.data.splits import split_sizes
@@ -168,4 +168,4 @@ def test_measurements_are_learned_from_on_the_cpu_where_there_is_a_gpu(tmp_path,
 
 def test_a_list_without_brackets_is_refused_with_them():
     with pytest.raises(UserError, match=r"A list has brackets: start_sd=\[1,0\.001\]"):
-        composed("assimilate", ["start_sd=1,0.001"])
+        compose.composed("assimilate", ["start_sd=1,0.001"])
