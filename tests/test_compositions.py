@@ -9,6 +9,7 @@ from compositions import anew
 from omegaconf import OmegaConf
 
 from ahnn.cli.commandline import compose, config_loader
+from ahnn.cli.compose import composed
 from ahnn.errors import UserError
 
 LINES = [
@@ -58,3 +59,8 @@ def test_a_folder_of_options_is_read_anew(tmp_path):
         (tmp_path / "system" / "own.yaml").write_text(f"_target_: ahnn.systems.Pendulum\ndt: {dt}\n")
         cfg = compose(config_loader(str(tmp_path)), "train", ["system=own"])
         assert cfg.system.dt == dt
+
+
+def test_a_list_without_brackets_is_refused_with_them():
+    with pytest.raises(UserError, match=r"A list has brackets: start_sd=\[1,0\.001\]"):
+        composed("assimilate", ["start_sd=1,0.001"])

@@ -12,7 +12,6 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import get_object
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from ahnn.cli import compose
 from ahnn.cli.build import build, build_all, factories, plain_config
 from ahnn.cli.parts import SENSOR, SIMULATION, build_sensor, build_source
 from ahnn.cli.prepare import build_model, parts_of, prepare
@@ -164,8 +163,3 @@ def test_measurements_are_learned_from_on_the_cpu_where_there_is_a_gpu(tmp_path,
     assert trainer.strategy.root_device.type == "cpu"
     with pytest.raises(UserError, match=r"^trainer: .*(gpu|cuda|GPU|CUDA)"):
         prepare(job(composed(tmp_path, *parts)))
-
-
-def test_a_list_without_brackets_is_refused_with_them():
-    with pytest.raises(UserError, match=r"A list has brackets: start_sd=\[1,0\.001\]"):
-        compose.composed("assimilate", ["start_sd=1,0.001"])
