@@ -30,6 +30,9 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     Raises:
         UserError: the file is missing or damaged, or contains code to be executed.
     """
+    if path.parent.name == "checkpoints" and not path.parent.exists():
+        message = f"run {path.parents[1]}: expected the folder of a training run; received none"
+        raise UserError(message)
     if not path.exists() or path.is_dir():
         message = f"checkpoint {path}: expected best, last or a file; received none. Use run=DIR ckpt=last"
         raise UserError(message)
