@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import copy
-import csv
 import io
 import pickle
 
 import pytest
 import torch
-from entry import call
 from helpers import close, generator
 from torch.func import functional_call, jacrev, vmap
 from torch.utils.data import DataLoader, TensorDataset
@@ -280,23 +278,6 @@ def test_a_folder_with_content_is_left_alone(tmp_path):
     with pytest.raises(UserError, match="folder: expected a new folder"):
         ahnn.save(free(), SPACE, 0.1, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
-
-
-def test_a_saved_model_filters_a_stream_with_given_process_noise(tmp_path, capfd):
-    """Without a force, H = p^2 / 2: the first update against the formulas of a Kalman filter."""
-    ahnn.save(free(), SPACE, 0.1, tmp_path / "mine")
-    (tmp_path / "seen.csv").write_text("time,q\n0.1,0.9\n")
-    command = [f"run={tmp_path / 'mine'}", f"measurements={tmp_path / 'seen.csv'}", "measurement.sd=0.05"]
-    command += ["start=[1,0]", "start_sd=[0.1,0.1]", f"output={tmp_path / 'track.csv'}"]
-    assert call("ahnn.assimilate", *command) == 2
-    assert "has no data to which they can be fitted" in capfd.readouterr().err
-    assert not (tmp_path / "track.csv").exists()
-    assert call("ahnn.assimilate", *command, "plugins.ukf.process_noise=[1e-3,1e-3]") == 0
-    (row,) = csv.DictReader((tmp_path / "track.csv").read_text().splitlines())
-    predicted = 0.1**2 + (0.1 * 0.1 / SPACE.inertia) ** 2 + 1e-3**2
-    gain = predicted / (predicted + 0.05**2)
-    assert float(row["q"]) == pytest.approx(1.0 - 0.1 * gain, rel=1e-9)
-    assert float(row["cov_q_q"]) == pytest.approx((1.0 - gain) * predicted, rel=1e-9)
 
 
 def test_no_training_takes_over_the_folder_of_a_saved_model(tmp_path):
