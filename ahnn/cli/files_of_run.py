@@ -20,6 +20,8 @@ def from_its_folder(system: dict[str, Any], folder: Path) -> dict[str, Any]:
         folder: folder of the run; Hydra recorded the working directory of the training in it.
     """
     named = {key: system[key] for key in FILES if system.get(key)}
+    if not str(named.get("gravity", "")).endswith(".gfc"):  # the name of an installed field
+        named.pop("gravity", None)
     origin = _working_directory(folder) if named else None
     if origin is None:
         return system

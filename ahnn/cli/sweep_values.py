@@ -18,5 +18,7 @@ def check_swept_values(overrides: Iterable[Override]) -> None:
         schema, value = SCHEMAS.get(parent), override.value()
         if schema is None or name not in signature(schema).parameters or not isinstance(value, ChoiceSweep):
             continue
-        for one in value.list:
-            check_values(parent, schema, {name: one.text if isinstance(one, QuotedString) else one})
+        for given in value.list:
+            one = given.text if isinstance(given, QuotedString) else given
+            if "${" not in str(one):  # the value of an interpolation is not known yet
+                check_values(parent, schema, {name: one})

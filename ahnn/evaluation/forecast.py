@@ -144,8 +144,7 @@ def forecast(
     freedom, loss = part.instrument.freedom, informative(part.instrument.freedom)
     states, steps = resolved_path(dynamics, starts, first, part)
     here = linearised(trial_of(dynamics, loss), states, part, steps)
-    later = ~early.unsqueeze(-1)
-    there = later.expand_as(states[:, steps.ends])
+    there = ~early.unsqueeze(-1).expand_as(states[:, steps.ends])
     true = None if truth is None else at(truth, met, part.times)
     there = there if true is None else there & true.isfinite()
     causes = forecast_columns(dynamics, states, steps, here, early, spread, part.whitening)
@@ -158,10 +157,9 @@ def forecast(
         off_true = (states[:, steps.ends] - true) / variances.states.sqrt()
         known = true_coverages(off_true, there, beyond, early)
         if samples:
-            given = dynamics, states, steps, variances, spread, true, begin, samples
-            off_all = torch.where(beyond.unsqueeze(-1), sampled_errors(*given), off_true)
-            known["sampled"] = partial(off_all, there, early)
-    ahead, total = later & ~part.values.isnan(), 1 + variances.values
+            drawn = sampled_errors(dynamics, states, steps, variances, spread, true, begin, samples)
+            known["sampled"] = partial(torch.where(beyond.unsqueeze(-1), drawn, off_true), there, early)
+    ahead, total = ~early.unsqueeze(-1) & ~part.values.isnan(), 1 + variances.values
     width, off = total[ahead], errors(part, states[:, steps.ends], variances.values)[ahead]
     counted = ~(off.abs() > OUTLYING) | (robust == "none" or freedom is not None)
     return Forecast(
