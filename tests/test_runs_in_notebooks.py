@@ -29,7 +29,8 @@ def test_a_run_is_one_line_and_in_notebooks_a_table(mechanical):
     assert "true start           0.941    0.396" in mechanical._repr_html_()
     assert str(mechanical.results) in html.unescape(mechanical.results._repr_html_())
     prediction = mechanical.predict(ORBIT, [0.0, 60.0])
-    shapes = "times=(2,), states=(1, 2, 6), covariances=None, novelty=(1, 2), nonlinearity=None, samples=None"
+    unknown = "nonlinearity=None, samples=None, joint_nonlinearity=None"
+    shapes = f"times=(2,), states=(1, 2, 6), covariances=None, novelty=(1, 2), {unknown}"
     assert repr(prediction) == f"Prediction({shapes})"
     data = ahnn.Trajectories(torch.zeros(4, 9, 2), torch.arange(9.0))
     assert repr(data) == "Trajectories(states=(4, 9, 2), times=(9,), controls=None, linear=False)"

@@ -25,7 +25,7 @@ from ahnn.shooting.path_sensitivities import Steps, path, steps_between
 from ahnn.shooting.quadrature import coarse
 from ahnn.shooting.robust import RobustName, informative, loss_of
 from ahnn.types import Trajectories
-from ahnn.uncertainty import LINEAR, forecast_columns, nonlinearity
+from ahnn.uncertainty import LINEAR, asymmetry, forecast_columns, nonlinearity
 
 HALF = 0.5
 """Fraction of the measurements of a trajectory to which the start of its forecast is fitted."""
@@ -207,7 +207,7 @@ def interval_nonlinearity(dynamics: Dynamics, states: Tensor, steps: Steps, vari
         lengths = steps.lengths[:, ends[k] : ends[k + 1]].repeat(len(x), 1)
         return path(dynamics.increment, x.flatten(0, 1), lengths)[:, -1].view_as(x)
 
-    return nonlinearity(flow, states[:, steps.ends], variances.moves, variances.states.sqrt())
+    return nonlinearity(asymmetry(flow, states[:, steps.ends], variances.moves), variances.states.sqrt())
 
 
 def partial(off: Tensor, counted: Tensor, early: Tensor) -> PartialCoverage:

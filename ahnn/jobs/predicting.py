@@ -20,7 +20,7 @@ from ahnn.loading import unfinished_training
 from ahnn.prediction import durations, output
 from ahnn.prediction.many_trajectories import finite_prediction, joined
 from ahnn.prediction.propagation import Prediction, require_room
-from ahnn.prediction.summary import nonlinear_warning, summary, warning
+from ahnn.prediction.summary import nonlinear_warnings, summary, warning
 from ahnn.prediction.turned_prediction import turned_prediction
 from ahnn.progress import track
 from ahnn.runs import Run
@@ -94,7 +94,7 @@ def predict(asked: PredictionRequest) -> None:
         *(unfinished_training(run.folder) for run in runs),
         _of_the_start_only(begin, runs),
         warning(found, begin, space, from_numbers=from_numbers),
-        nonlinear_warning(found, begin, space),
+        *nonlinear_warnings(found, begin, space),
     ]
     remarks = [*filter(None, remarks)]
     if asked.output is not None:

@@ -25,8 +25,15 @@ from ahnn.progress import track
 from ahnn.shooting.path_sensitivities import Steps, path, steps_between
 from ahnn.shooting.quadrature import coarse
 from ahnn.types import in_short
-from ahnn.uncertainty import LINEAR, largest_displacement, mixture_moments, nonlinearity
-from ahnn.uncertainty.linear_range import IntervalFlow
+from ahnn.uncertainty import (
+    LINEAR,
+    asymmetry,
+    joint_nonlinearity,
+    largest_displacement,
+    mixture_moments,
+    nonlinearity,
+)
+from ahnn.uncertainty.linear_range import THIN, IntervalFlow
 
 CELLS = 4e6
 """Size limit of the largest sensitivity tensor; longer paths are propagated in segments."""
@@ -54,6 +61,7 @@ class Prediction(NamedTuple):
             unknown.
         samples: (B, T, S, D) sampled paths, whose means and covariances are the states and covariances; None
             for first-order covariances.
+        joint_nonlinearity: (B, T) the index of the joint covariance (`ahnn.uncertainty.joint_nonlinearity`).
     """
 
     times: Tensor
@@ -62,6 +70,7 @@ class Prediction(NamedTuple):
     novelty: Tensor | None = None
     nonlinearity: Tensor | None = None
     samples: Tensor | None = None
+    joint_nonlinearity: Tensor | None = None
 
     def __repr__(self) -> str:
         return in_short(self)
@@ -109,8 +118,10 @@ def predicted(
     if samples:
         require_samples(samples, start.numel() * len(times), known)
     require_memory("start", "sensitivities of states", 4.0 * INTERVALS * start.numel() * known.columns)
-    rows, index = _followed(FollowedPath(dynamics, known), start, times, longest, description, clock)
-    found = Prediction(times, *rows, index)
+    rows, indices = _followed(FollowedPath(dynamics, known), start, times, longest, description, clock)
+    found = Prediction(times, *rows)
+    if indices is not None:
+        found = found._replace(nonlinearity=indices[0], joint_nonlinearity=indices[1])
     if not samples:
         return found
     paths = path_samples(dynamics, start, times, longest, known, samples, description, clock)
@@ -153,7 +164,7 @@ def _followed(
     description: str | None = None,
     clock: Clock | None = None,
 ) -> tuple[PathRows, Tensor | None]:
-    """Return the rows of a path at given times, computed in segments, and its index of nonlinearity."""
+    """Return the rows of a path at given times, computed in segments, and its two indices of nonlinearity."""
     steps = steps_between(times.unsqueeze(0), longest)
     paths.quartered = paths.known.spread is not None and needs_quarters(paths.dynamics, start, steps)
     wanted = torch.zeros(int(steps.ends[-1]) + 1, dtype=torch.bool)
@@ -178,31 +189,33 @@ def _followed(
     def flow(k: int, x: Tensor) -> Tensor:
         return paths.end(x, lengths[between[k]], None if along is None else along.steps(between[k]))
 
-    index = node_nonlinearity(flow, *(torch.stack(column, dim=1) for column in zip(*nodes, strict=True)))
-    return PathRows.joined(rows), index[:, -(-steps.ends // (size * every))]
+    indices = node_nonlinearity(flow, *(torch.stack(column, dim=1) for column in zip(*nodes, strict=True)))
+    return PathRows.joined(rows), indices[..., -(-steps.ends // (size * every))]
 
 
 def node_nonlinearity(flow: IntervalFlow, states: Tensor, columns: Tensor) -> Tensor:
-    """Return the index of nonlinearity (B, K) of states (B, K, D) with covariance factors (B, K, D, R).
+    """Return both indices of nonlinearity (2, B, K) of states (B, K, D) with covariance factors (B, K, D, R).
 
-    It is 0 without a calculation if all deviations are so small that they cannot leave the linear range.
+    The first is that of single components, the second that of the joint covariance. Both are 0 without a
+    calculation if all deviations are so small that they cannot leave the linear range.
     """
     columns = columns.double()
     deviations = columns.square().sum(-1).sqrt()
     if is_surely_linear(states, deviations):
-        return torch.zeros_like(states[..., 0])
+        return torch.zeros_like(states[..., 0]).expand(2, -1, -1)
     moves = torch.einsum("bkdr,br->bkd", columns, largest_displacement(columns[:, -1]))
-    return nonlinearity(flow, states, moves, deviations)
+    bends = asymmetry(flow, states, moves)
+    return torch.stack((nonlinearity(bends, deviations), joint_nonlinearity(bends, columns)))
 
 
 def is_surely_linear(states: Tensor, deviations: Tensor) -> bool:
     """Return whether curved displacements remain within the bands, judged by the size of the motion.
 
     A displacement s along a curve of radius R deviates from its tangent by s^2 / 2R, which is compared with
-    the smallest standard deviation, all relative to the rms of each component.
+    the smallest resolved standard deviation, all relative to the rms of each component.
     """
     relative = deviations[:, 1:] / states.square().mean(1, keepdim=True).sqrt()
-    return bool((CURVED * relative.amax(-1).square() < LINEAR * relative.amin(-1)).all())
+    return bool((CURVED * relative.amax(-1).square() < LINEAR * THIN * relative.amin(-1)).all())
 
 
 def needs_quarters(dynamics: Dynamics, start: Tensor, steps: Steps) -> bool:
@@ -215,7 +228,7 @@ def together(predictions: Sequence[Prediction]) -> Prediction:
     """Combine predictions of several runs: their mean, with a covariance that includes their spread.
 
     By the law of total covariance, it is the mean of the individual covariances, if all are known, plus the
-    sample covariance of the states. Novelty and index of nonlinearity are the maxima.
+    sample covariance of the states. Novelty and indices of nonlinearity are the maxima.
     """
     first, *others = predictions
     if not others:
@@ -223,13 +236,22 @@ def together(predictions: Sequence[Prediction]) -> Prediction:
     own = [one.covariances for one in predictions if one.covariances is not None]
     known = torch.stack(own) if len(own) == len(predictions) else None
     mean, covariances = mixture_moments(torch.stack([one.states for one in predictions]), known)
-    far = [one.novelty for one in predictions if one.novelty is not None]
-    novelty = torch.stack(far).amax(0) if len(far) == len(predictions) else None
     drawn = [one.samples for one in predictions if one.samples is not None]
     paths = torch.cat(drawn, dim=2) if len(drawn) == len(predictions) else None
-    bent = [one.nonlinearity for one in predictions if one.nonlinearity is not None]
-    index = torch.stack(bent).amax(0) if len(bent) == len(predictions) else None
-    return Prediction(first.times, mean, covariances, novelty, index, paths)
+
+    def largest(values: Sequence[Tensor | None]) -> Tensor | None:
+        known = [one for one in values if one is not None]
+        return torch.stack(known).amax(0) if len(known) == len(values) else None
+
+    return Prediction(
+        first.times,
+        mean,
+        covariances,
+        novelty=largest([one.novelty for one in predictions]),
+        nonlinearity=largest([one.nonlinearity for one in predictions]),
+        samples=paths,
+        joint_nonlinearity=largest([one.joint_nonlinearity for one in predictions]),
+    )
 
 
 def require_times(times: Tensor) -> None:

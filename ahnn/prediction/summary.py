@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from torch import Tensor
+
 from ahnn.data.estimate_table import components_with_units
 from ahnn.data.starts import Starts
 from ahnn.numbers import in_percent
@@ -68,22 +70,35 @@ def warning(
     )
 
 
-def nonlinear_warning(prediction: Prediction, starts: Starts, space: Space) -> str | None:
-    """Return one line about states whose errors do not propagate linearly; None without them.
+def nonlinear_warnings(prediction: Prediction, starts: Starts, space: Space) -> list[str]:
+    """Return lines about states whose errors do not propagate linearly: bands, then joint covariances.
 
     Args:
         prediction: predicted states.
         starts: starts of the prediction.
         space: description of the state components.
     """
-    index = prediction.nonlinearity
-    if index is None or prediction.samples is not None or not bool((index > LINEAR).any()):
-        return None
+    bands, joint = prediction.nonlinearity, prediction.joint_nonlinearity
+    if bands is None or joint is None or prediction.samples is not None:
+        return []
+    outside = "the true state may lie outside the bands more often than they indicate"
+    found = [
+        f"{what}{_leaving(index, prediction, starts, space)}; {so}"
+        for what, index, so in (
+            ("bands", bands, outside),
+            ("joint covariance", joint, "its NEES is too large"),
+        )
+        if bool((index > LINEAR).any())
+    ]
+    return [*found[:-1], *(f"{last}. samples=200 propagates sampled paths instead" for last in found[-1:])]
+
+
+def _leaving(index: Tensor, prediction: Prediction, starts: Starts, space: Space) -> str:
+    """Return from which time on an index of nonlinearity (B, T) exceeds `LINEAR`."""
     row, sample = (int(k) for k in (index > LINEAR).nonzero()[0])
     first = float(starts.times[row] + prediction.times[sample])
     whose = f" of {starts.names[row]}" if len(index) > 1 else ""
     return (
-        f"bands{whose}: from about t = {first:g} {space.units.time} on, errors are too large to propagate "
-        f"linearly (index {float(index.max()):.2g}, linear up to {LINEAR:g}); the true state may lie outside "
-        "the bands more often than they indicate. samples=200 propagates sampled paths instead"
+        f"{whose}: from about t = {first:g} {space.units.time} on, errors are too large to propagate "
+        f"linearly (index {float(index.max()):.2g}, linear up to {LINEAR:g})"
     )

@@ -7,7 +7,13 @@ from ahnn.uncertainty.constants import Constant, learned_constants
 from ahnn.uncertainty.domain import BEYOND, Domain, domain_of, find_domain, growth
 from ahnn.uncertainty.force import force_deviation
 from ahnn.uncertainty.forecast import forecast_columns
-from ahnn.uncertainty.linear_range import LINEAR, largest_displacement, nonlinearity
+from ahnn.uncertainty.linear_range import (
+    LINEAR,
+    asymmetry,
+    joint_nonlinearity,
+    largest_displacement,
+    nonlinearity,
+)
 from ahnn.uncertainty.mixtures import mixture_crps, mixture_moments
 from ahnn.uncertainty.posterior import Uncertainty, load_uncertainty, save_uncertainty
 from ahnn.uncertainty.sampled_paths import Draws, drawn, sampled_paths, sampled_rollouts
@@ -19,12 +25,14 @@ __all__ = [
     "Domain",
     "Draws",
     "Uncertainty",
+    "asymmetry",
     "domain_of",
     "drawn",
     "find_domain",
     "force_deviation",
     "forecast_columns",
     "growth",
+    "joint_nonlinearity",
     "largest_displacement",
     "learned_constants",
     "load_uncertainty",
