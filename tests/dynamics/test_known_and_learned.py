@@ -80,6 +80,18 @@ def test_the_moon_pulls_a_satellite_with_the_difference_of_two_attractions():
     close(force.variation(at, by), (ahead - back) / 20, 1e-5)
 
 
+def test_the_pull_of_moving_bodies_varies_with_time_as_its_differences_do():
+    """Also within a node interval, where the speed of a cubic is quadratic in time."""
+    ephemeris()
+    others, half = make_force("planets", 3, 0, {**SKY, "bodies": ["mercury", "venus"]}), 1e-3
+    days = torch.tensor([20.3, 41.1, 60.9], **DOUBLE)
+    q = torch.tensor([0.5, -0.3, 0.1], **DOUBLE).expand(3, 3)
+    nothing = torch.zeros(3, 1, 3, **DOUBLE)
+    by = Instant(torch.ones(3, 1, 1, **DOUBLE), nothing[..., :0], nothing, nothing)
+    slope = (others(instant(days + half, q)) - others(instant(days - half, q))) / (2 * half)
+    close(others.variation(instant(days, q), by).squeeze(1), slope, 1e-6)
+
+
 @pytest.mark.parametrize(
     "changes",
     [{"bodies": ["ceres"]}, {"bodies": ["sun"]}, {"bodies": []}, {"span": [0.0, 1e6]}, {"span": [1.0, 1.0]}],

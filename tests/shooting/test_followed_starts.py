@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
+import pytest
 import torch
 from helpers import close, generator
 from oscillators import DOUBLE
@@ -11,7 +12,17 @@ from oscillators import DOUBLE
 from ahnn.integrators import INTEGRATORS
 from ahnn.jacobians import step_jacobians
 from ahnn.measurements import Instrument, Segment, State
-from ahnn.shooting.initial_states import FOLLOWING, SURE, WORSE, Trial, fit_starts, follow_starts, refine
+from ahnn.measurements.coloured_noise import Colour
+from ahnn.shooting.initial_states import (
+    FOLLOWING,
+    SURE,
+    WORSE,
+    Trial,
+    fit_starts,
+    follow_starts,
+    linearised,
+    refine,
+)
 from ahnn.shooting.path_sensitivities import path, steps_between
 from ahnn.shooting.robust import ROBUST
 
@@ -53,3 +64,27 @@ def test_a_segment_that_is_lost_from_its_old_start_is_fitted_again_over_growing_
     close(found[lost], best[lost], 1e-6)
     close(found[~lost], refined[~lost], 1e-12)
     assert 0.9 < float(best.mean()) < 1.1
+
+
+@pytest.mark.parametrize("colour", [None, Colour(torch.full((4,), 0.6), torch.full((4,), 0.7))])
+@torch.no_grad()
+def test_weighted_residuals_and_derivatives_give_the_gradient_of_the_robust_cost(colour):
+    """The gradient of half the cost is J^T r of the linearised rows, by differences of the starts."""
+    trial = henon_heiles(1.0)._replace(robust=ROBUST["huber"])
+    start, h = torch.tensor([[0.2, -0.1, 0.15, 0.1]], **DOUBLE), 1e-5
+    times = STEP * torch.arange(9, **DOUBLE).unsqueeze(0)
+    steps = steps_between(times, STEP)
+    values = path(trial.exact, start, steps.lengths)
+    values = values + 3 * SD * torch.randn(values.shape, generator=generator(2), **DOUBLE)
+    instrument = Instrument(State(2), torch.full((4,), SD, **DOUBLE), STEP, 2, 1.0, colour=colour)
+    batch = Segment(values, times, instrument)
+
+    def half_cost(move):
+        rows = batch.white_residuals(path(trial.exact, start + move, steps.lengths))
+        return trial.robust.cost(rows).sum() / 2
+
+    found = linearised(trial, path(trial.exact, start, steps.lengths), batch, steps)
+    pull = torch.einsum("bkmd,bkm->d", found.of_start, found.residuals)
+    units = h * torch.eye(4, **DOUBLE)
+    slopes = torch.stack([(half_cost(move) - half_cost(-move)) / (2 * h) for move in units])
+    close(pull, slopes, 1e-4)

@@ -76,3 +76,17 @@ def test_a_flow_is_known_by_its_weights_and_one_without_by_none():
     flow.weight.data[0, 0] += 1e-6
     assert weights_hash(flow) not in ("", known)
     assert weights_hash(torch.add) == ""
+
+
+def test_a_model_is_tried_at_the_time_of_its_first_measurement():
+    asked = []
+
+    class Watched:
+        names, units, residual = ("q",), ("m",), None
+
+        def __call__(self, x, time):
+            asked.append(float(time))
+            return x[..., :1]
+
+    setting(measurement=Watched(), measurement_sd=1.0, cadence=3)
+    assert asked[0] == pytest.approx(3 * SPRING.dt)
