@@ -99,6 +99,11 @@ def foresee(seconds: float) -> None:
     _end.set(time.monotonic() + seconds)
 
 
+def about(seconds: float) -> str:
+    """Format an estimated duration."""
+    return f"about {seconds:.0f} s" if seconds < 120 else f"about {seconds / 60:.1f} min"
+
+
 def counted(most: int, name: str) -> Iterator[int]:
     """Yield the indices of at most `most` steps; notes then start with the step and its mean time."""
     began = time.monotonic()

@@ -11,7 +11,7 @@ from ahnn.jobs.evaluation_estimate import evaluation_seconds
 from ahnn.jobs.prepared import Prepared
 from ahnn.loading import load
 from ahnn.models import AbstractModel
-from ahnn.progress import stage
+from ahnn.progress import about, stage
 from ahnn.training.callbacks.training_time import timed_fit
 from ahnn.training.cuda_graph import RecordedStep, can_record
 from ahnn.training.runtime_estimate import expected_seconds
@@ -71,12 +71,12 @@ def announce(prepared: Prepared) -> None:
     with stage("timing some steps"):
         seconds = expected_seconds(trainer, data, model, per_epoch, epochs) + evaluation_seconds(prepared)
     log.info(
-        "training %s on %s: %s optimiser steps of %d windows in %d epochs%s, about %s with evaluation",
+        "training %s on %s: %s optimiser steps of %d windows in %d epochs%s, %s with evaluation",
         prepared.label,
         data.source.space.name,
         f"{per_epoch * epochs.stop - done:,}",
         data.batch_size,
         len(epochs),
         f" and at most {last} closing steps on all data" if (last := model.curriculum.closing) else "",
-        f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min",
+        about(seconds),
     )

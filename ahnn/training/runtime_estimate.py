@@ -31,7 +31,7 @@ CLOSING = 4.5
 """Measured cost of the closing stage without parameter steps, in units of one set of normal equations."""
 ROWS = 100
 """Number of segments that together cost as much as the fixed part of a time step."""
-STRETCHES, STRETCH = 300, 64
+SEGMENTS, INTERVALS = 300, 64
 """Maximum number of segments on which final steps are timed, and of their measurement intervals."""
 
 
@@ -84,8 +84,8 @@ def shooting_seconds(model: Any, data: WindowDataModule) -> float:
     """
     dynamics = copy.deepcopy(model.dynamics).double().cpu()  # as in the closing stage
     whole = Segments(data.measured("train"), None, data.instrument)
-    batch = whole.gather(torch.arange(min(len(whole), STRETCHES)))
-    batch = batch._replace(values=batch.values[:, : STRETCH + 1], times=batch.times[:, : STRETCH + 1])
+    batch = whole.gather(torch.arange(min(len(whole), SEGMENTS)))
+    batch = batch._replace(values=batch.values[:, : INTERVALS + 1], times=batch.times[:, : INTERVALS + 1])
     parameters = list(dynamics.parameters())
     theta, sizes = parameters_to_vector(parameters).detach(), [p.numel() for p in parameters]
     equations = lambda: WideProblem(dynamics, batch, ROBUST["none"]).equations(theta, sizes)  # noqa: E731
