@@ -28,6 +28,8 @@ log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 STEPS, HALVINGS = 25, 8
+WORK = 10
+"""Maximum work of a trial step, relative to the last one: absurd forces would take hours to integrate."""
 NEAR, FINE = 30.0, 0.03
 """Step in standard deviations below which noise and smoothness are re-estimated, and the fit may end."""
 STEADY = 0.03
@@ -126,12 +128,16 @@ class OrbitFit:
         )
 
 
-def linearised(problem: OrbitProblem, x: Array) -> LinearisedOrbit:
-    """Return residuals and derivatives at a point (Q,); raises TrainingError if not finite."""
+def linearised(problem: OrbitProblem, x: Array, most: float = np.inf) -> LinearisedOrbit:
+    """Return residuals and derivatives at a point (Q,).
+
+    Raises:
+        TrainingError: they are not finite, or the arc needs more than `most` evaluations of the forces.
+    """
     data, unknowns = problem.model.data, problem.unknowns
     p = x[6 : 6 + unknowns.forces]
     first, last = min(problem.at, data.times[0] - 1.0), max(problem.at, data.times[-1] + 1.0)
-    arc = satellite_arc(problem.forces, x[:6], p, problem.at, first, last)
+    arc = satellite_arc(problem.forces, x[:6], p, problem.at, first, last, most)
     predicted = problem.model(arc)
     biases = unknowns.biases(x, (len(data.stations), len(KINDS)))
     residuals = data.values - predicted.values - biases[data.station]
@@ -224,7 +230,10 @@ def lower(
     for halving in range(HALVINGS):
         x = point.x.copy()
         x[free] += step / 2**halving
-        there = linearised(problem, x)
+        try:
+            there = linearised(problem, x, WORK * point.arc.evaluations)
+        except TrainingError:  # a shorter step may stay above the ground
+            continue
         if cost(there) <= before * (1 + 1e-9) + 1e-9:
             return there
     message = (

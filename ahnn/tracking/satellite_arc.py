@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,8 @@ from ahnn.tracking.accelerations import AccelerationTerm
 Array = NDArray[np.float64]
 PRECISION, FLOOR = 1e-11, 1e-10
 """Tolerances per step: relative, and absolute in km and km/s."""
+INSIDE = 3000.0
+"""Distance from the centre of the Earth in km at which an arc ends: wrong starts may fall towards it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +68,7 @@ class SatelliteArc:
         first, last: ends of the arc, seconds after the epoch.
         before, after: states and sensitivities before and after the start.
         start: time of the start.
+        evaluations: number of evaluations of the forces.
     """
 
     first: float
@@ -72,6 +76,7 @@ class SatelliteArc:
     start: float
     before: OdeSolution | None
     after: OdeSolution | None
+    evaluations: int
 
     def states(self, times: Array) -> Array:
         """Return the states (T, 6) at times (T,)."""
@@ -100,7 +105,13 @@ class SatelliteArc:
 
 
 def satellite_arc(
-    forces: Forces, start: Array, p: Array, at: float, first: float, last: float
+    forces: Forces,
+    start: Array,
+    p: Array,
+    at: float,
+    first: float,
+    last: float,
+    most: float = np.inf,
 ) -> SatelliteArc:
     """Propagate an arc from an initial state, with sensitivities.
 
@@ -115,19 +126,34 @@ def satellite_arc(
         at: time of the initial state.
         first: beginning of the arc, at or before the start.
         last: end of the arc, at or after the start.
+        most: maximum number of evaluations of the forces.
 
     Raises:
-        TrainingError: the integration fails, for example for a satellite that falls into the Earth.
+        TrainingError: the integration fails, for example for a satellite that falls into the Earth, or takes
+            too long.
     """
-    columns = 6 + len(p)
+    columns, count = 6 + len(p), 0
+    if not np.isfinite(start).all():
+        message = "orbit: expected a finite state to propagate; received one that is not"
+        raise TrainingError(message)
 
     def slope(t: float, y: Array) -> Array:
+        nonlocal count
+        count += 1
+        if count > most:
+            message = f"orbit: the integration takes more than {most:.0f} evaluations of the forces"
+            raise TrainingError(message)
         rows = y.reshape(1 + columns, 6)
         value, by_state, by_parameters = forces.acceleration(t, rows[0], p)
         moved = rows[1:, :] @ by_state.T
         moved[6:] += by_parameters.T
         return np.concatenate((rows[:, 3:], np.vstack((value, moved))), axis=1).ravel()
 
+    def fallen(t: float, y: Array) -> float:
+        del t
+        return float(np.linalg.norm(y[:3])) - INSIDE
+
+    cast(Any, fallen).terminal = True
     begin = np.concatenate((start[None], np.eye(6), np.zeros((len(p), 6)))).ravel()
     floor = np.full(len(begin), np.inf)
     floor[:6] = FLOOR
@@ -147,10 +173,13 @@ def satellite_arc(
             rtol=precision,
             atol=floor,
             max_step=forces.longest,
+            events=fallen,
         )
-        if not done.success or not np.isfinite(done.y[:6]).all():
-            message = f"orbit: the integration from {at:.0f} s stopped at {done.t[-1]:.0f} s: {done.message}"
+        if done.status != 0 or not np.isfinite(done.y[:6]).all():
+            why = "the satellite is inside the Earth" if done.status == 1 else done.message
+            message = f"orbit: the integration from {at:.0f} s stopped at {done.t[-1]:.0f} s: {why}"
             raise TrainingError(message)
         return done.sol
 
-    return SatelliteArc(first, last, at, side(first), side(last))
+    before, after = side(first), side(last)
+    return SatelliteArc(first, last, at, before, after, count)

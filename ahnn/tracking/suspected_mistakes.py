@@ -1,9 +1,9 @@
 """Search for a mistake in the data that explains residuals larger than noise: the corrected data fit.
 
-Station positions and units of angles are corrected, and the orbit is fitted again. A rotation of the Earth,
-for example from UTC given as UT1, is a further unknown of the linearised measurements (a score test: Rao
-1948); ranges, rates, azimuths and elevations rotate with the stations and do not reveal it, but right
-ascensions do.
+Stations, their coordinates and units of angles are corrected, and the orbit is fitted again. A rotation of
+the Earth, for example from UTC given as UT1, is a further unknown of the linearised measurements (a score
+test: Rao 1948); ranges, rates, azimuths and elevations rotate with the stations and do not reveal it, but
+right ascensions do.
 """
 
 from __future__ import annotations
@@ -22,12 +22,16 @@ from ahnn.tracking.formats.bulletin_b import EarthOrientation
 from ahnn.tracking.orbit_fit import LinearisedOrbit, OrbitProblem, linearised, orbit_fit, rows_of
 from ahnn.tracking.tracking_data import KINDS
 from ahnn.tracking.tracking_model import ANGLES
+from ahnn.tracking.tracking_station import TrackingStation, geodetic_station
+from ahnn.tracking.unknowns import START
 
 Array = NDArray[np.float64]
 WIDE = 3.0
 """Root mean square of residuals in standard deviations above which mistakes are sought."""
 EXPLAINED = 0.2
 """Maximum fraction of the root mean square that remains once a mistake is corrected."""
+LOST = 300.0
+"""Root mean square of residuals in standard deviations, assumed for data that no state fits."""
 MOST = 4
 """Maximum number of possible mistakes whose corrections are fitted."""
 CERTAIN = 5.0
@@ -74,15 +78,32 @@ def suspected_mistakes(
     found = [] if point is None else turn_of(problem, point, rotation)
     if found or (point is not None and size_of(problem, point) < WIDE):
         return found
-    limit = WIDE if point is None else max(WIDE / 2, EXPLAINED * size_of(problem, point))
-    for words, other in nearest_first(problem):
-        try:
-            fit = orbit_fit(replace(other, robust=False, noise_known=True))
-        except (TrainingError, np.linalg.LinAlgError):
-            continue
-        if size_of(other, fit.point) < limit:
-            return [words]
-    return []
+    if point is None:
+        problem = of_the_state(problem)
+        size = fitted_size(problem)
+        limit = max(WIDE, EXPLAINED * (size if np.isfinite(size) else LOST))
+    else:
+        limit = max(WIDE / 2, EXPLAINED * size_of(problem, point))
+    fits = [(fitted_size(other), words) for words, other in nearest_first(problem)]
+    size, words = min(fits, default=(np.inf, ""))
+    return [words] if size < limit else []
+
+
+def of_the_state(problem: OrbitProblem) -> OrbitProblem:
+    """Return a problem whose unknowns are only the state: others can absorb a mistake, or diverge with it."""
+    unknowns = problem.unknowns
+    deviations = unknowns.deviations.copy()
+    deviations[len(START) :] = 0.0
+    return replace(problem, unknowns=replace(unknowns, deviations=deviations, smooth=()), smooth=None)
+
+
+def fitted_size(problem: OrbitProblem) -> float:
+    """Return the root mean square of the residuals of a fit by least squares; inf if it fails."""
+    try:
+        fit = orbit_fit(replace(problem, robust=False, noise_known=True))
+    except (TrainingError, np.linalg.LinAlgError):
+        return np.inf
+    return size_of(problem, fit.point)
 
 
 def size_of(problem: OrbitProblem, point: LinearisedOrbit) -> float:
@@ -125,6 +146,7 @@ def undone(problem: OrbitProblem) -> Iterator[tuple[str, OrbitProblem]]:
             values = np.where(angles, data.values * factor, data.values)
             other = model.of(model.stations, replace(data, values=values))
             yield f"angles fit if multiplied by {factor:.4g}: {words}", replace(problem, model=other)
+    yield from with_other_coordinates(problem)
     for a, b in combinations(range(len(data.stations)), 2):
         places = list(model.stations)
         places[a], places[b] = places[b], places[a]
@@ -139,6 +161,38 @@ def undone(problem: OrbitProblem) -> Iterator[tuple[str, OrbitProblem]]:
                 f"{name} has a wrong position or measured another object; the other stations fit without it"
             )
             yield words, replace(problem, used=used)
+
+
+def with_other_coordinates(problem: OrbitProblem) -> Iterator[tuple[str, OrbitProblem]]:
+    """Yield problems with corrected coordinates of all stations, and of each of several."""
+    model, data = problem.model, problem.model.data
+    groups = [[s] for s in range(len(data.stations))]
+    for group in [[*range(len(data.stations))], *(groups if len(groups) > 1 else [])]:
+        for words, corrected in COORDINATES.items():
+            places = list(model.stations)
+            for s in group:
+                places[s] = corrected(places[s])
+            names = ", ".join(data.stations[s] for s in group)
+            yield f"{names}: measurements fit {words}", replace(problem, model=model.of(tuple(places), data))
+
+
+def interchanged(station: TrackingStation) -> TrackingStation:
+    """Return a station with its latitude as longitude, and its longitude as latitude."""
+    name, _, latitude, longitude, height = station
+    return geodetic_station(name, longitude / DEGREE, latitude / DEGREE, height)
+
+
+def of_the_other_side(station: TrackingStation) -> TrackingStation:
+    """Return a station with the other sign of its longitude."""
+    name, _, latitude, longitude, height = station
+    return geodetic_station(name, latitude / DEGREE, -longitude / DEGREE, height)
+
+
+COORDINATES = {
+    "with latitude and longitude interchanged": interchanged,
+    "with the other sign of the longitude, which counts eastwards": of_the_other_side,
+}
+"""Corrections of a station's coordinates by their description."""
 
 
 def turn_of(problem: OrbitProblem, point: LinearisedOrbit, rotation: EarthRotation) -> list[str]:

@@ -54,6 +54,24 @@ def test_interchanged_stations_are_named(right):
     assert "south and east fit at each other's position" in named(mistaken, fitted=False)
 
 
+def wrong(station, latitude, longitude):
+    return geodetic_station(station.name, np.degrees(latitude), np.degrees(longitude), station.height)
+
+
+@pytest.mark.parametrize("fitted", [False, True])
+def test_interchanged_coordinates_are_named(right, fitted):
+    others = tuple(wrong(one, one.longitude, one.latitude) for one in STATIONS)
+    mistaken = replace(right, model=right.model.of(others, right.model.data))
+    said = named(mistaken, fitted=fitted)
+    assert said == "south, east, north: measurements fit with latitude and longitude interchanged"
+
+
+def test_a_longitude_that_counts_westwards_is_named(right):
+    others = (STATIONS[0], wrong(STATIONS[1], STATIONS[1].latitude, -STATIONS[1].longitude), STATIONS[2])
+    mistaken = replace(right, model=right.model.of(others, right.model.data))
+    assert named(mistaken, fitted=False).startswith("east: measurements fit with the other sign of the long")
+
+
 def test_a_station_that_stands_elsewhere_is_named(right):
     others = (geodetic_station("south", -35.0, 148.0, 0.8), *STATIONS[1:])
     mistaken = replace(right, model=right.model.of(others, right.model.data))
