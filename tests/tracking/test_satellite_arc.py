@@ -54,7 +54,7 @@ def test_sensitivities_are_differences():
 
 
 def test_a_path_into_the_centre_is_no_path():
-    with pytest.raises(TrainingError, match="stopped at .* s: the satellite is inside the Earth"):
+    with pytest.raises(TrainingError, match=r"stopped at .* s: the satellite is inside the Earth"):
         satellite_arc(Forces([PointMass()]), np.array([7000.0, 0, 0, 0, 0, 0]), np.empty(0), 0.0, 0.0, 9000.0)
 
 
@@ -64,7 +64,7 @@ def test_an_arc_that_takes_too_long_or_begins_nowhere_is_refused():
     assert arc.evaluations > 100
     same = satellite_arc(forces, CIRCLE, nothing, 0.0, -3000.0, 20000.0, arc.evaluations)
     assert same.evaluations == arc.evaluations
-    with pytest.raises(TrainingError, match="more than .* evaluations"):
+    with pytest.raises(TrainingError, match=r"more than .* evaluations"):
         satellite_arc(forces, CIRCLE, nothing, 0.0, -3000.0, 20000.0, arc.evaluations - 1)
     with pytest.raises(TrainingError, match="finite state"):
         satellite_arc(forces, CIRCLE * np.nan, nothing, 0.0, 0.0, 10.0)
