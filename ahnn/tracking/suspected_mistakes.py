@@ -30,8 +30,10 @@ WIDE = 3.0
 """Root mean square of residuals in standard deviations above which mistakes are sought."""
 EXPLAINED = 0.2
 """Maximum fraction of the root mean square that remains once a mistake is corrected."""
-LOST = 300.0
+LOST = 1000.0
 """Root mean square of residuals in standard deviations, assumed for data that no state fits."""
+ALIKE = 2.0
+"""Ratio of residuals up to which the correction nearer to the initial orbit is the more likely one."""
 MOST = 4
 """Maximum number of possible mistakes whose corrections are fitted."""
 CERTAIN = 5.0
@@ -85,8 +87,8 @@ def suspected_mistakes(
     else:
         limit = max(WIDE / 2, EXPLAINED * size_of(problem, point))
     fits = [(fitted_size(other), words) for words, other in nearest_first(problem)]
-    size, words = min(fits, default=(np.inf, ""))
-    return [words] if size < limit else []
+    limit = min(limit, ALIKE * min((size for size, _ in fits), default=0.0))
+    return [words for size, words in fits if size < limit][:1]
 
 
 def of_the_state(problem: OrbitProblem) -> OrbitProblem:
