@@ -98,3 +98,10 @@ def chi_square_quantile(probability: float, degrees: float) -> float:
     from scipy.special import gammaincinv
 
     return 2 * float(gammaincinv(degrees / 2, probability))
+
+
+def require_precision(dtype: torch.dtype | None) -> None:
+    """Raise UserError for a dtype other than float32 and float64: others are too coarse for motion."""
+    if dtype not in (None, torch.float32, torch.float64):
+        message = f"dtype: expected torch.float32 or torch.float64; received {dtype}"
+        raise UserError(message)

@@ -19,7 +19,7 @@ from ahnn.contents import read_plain
 from ahnn.deviations import covariance_factor, state_deviations
 from ahnn.dynamics import Dynamics, HasEnergy
 from ahnn.errors import UserError
-from ahnn.numbers import Numbers, as_float64
+from ahnn.numbers import Numbers, as_float64, require_precision
 from ahnn.prediction.arguments import clock_along, lengths_of, paths_of, sample_clock, starts_of, states_of
 from ahnn.prediction.followed_path import Knowledge
 from ahnn.prediction.propagation import Prediction, predicted, require_times
@@ -72,11 +72,11 @@ class Run:
         return f"<p><code>{html.escape(repr(self))}</code></p>{scores}"
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Run:
-        """Return the run on a device and with parameters of a dtype; this one is unchanged.
+        """Return a copy of the run on a device and with parameters of a dtype, float32 or float64.
 
-        `flow`, `energy` and `rollout` compute in this dtype; `predict`, `band` and `novelty` always in
-        float64, which the device must support.
+        `flow`, `energy` and `rollout` compute in it; `predict`, `band` and `novelty` always in float64.
         """
+        require_precision(dtype)
         return replace(
             self,
             dynamics=copy.deepcopy(self.dynamics).to(device=device, dtype=dtype),

@@ -243,3 +243,15 @@ def test_epochs_of_a_stream_are_times_from_its_zero():
     kept = [*dated[:-1], "output=kept.out", "state=kept.state"]
     assert assimilate(*kept) == 0
     assert assimilate(*kept, "epoch=2024-03-02T12:00:00") == 2
+
+
+@pytest.mark.usefixtures("place")
+def test_lines_sent_again_after_the_end_of_a_stream_have_no_effect(place, monkeypatch):
+    again = ["measurements=-", "measurement.sd=0.05", "output=out.csv"]
+    for _ in range(2):
+        with Path("fixes.csv").open() as lines:
+            monkeypatch.setattr(sys, "stdin", lines)
+            assert assimilate(*again, "state=a.state", "every=7") == 0
+        found = (place / "out.csv").read_bytes()
+    assert assimilate(*FIXES, "output=whole.csv") == 0
+    assert found == (place / "whole.csv").read_bytes()

@@ -12,7 +12,7 @@ from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.hydra import Hydra
 from hydra.core.global_hydra import GlobalHydra
 
-from ahnn.cli.commandline import compose, config_loader
+from ahnn.cli.commandline import compose, config_loader, in_one_folder
 
 GL4 = "integrator=gl4"
 COSINE = "scheduler=cosine"
@@ -280,3 +280,13 @@ def test_jobs_of_a_sweep_keep_the_line_that_names_them(tmp_path):
     assert done.returncode == 2
     assert "Error executing job with overrides: ['model.network.width=x']" in done.stderr
     assert "width: expected int >= 1; received 'x' (str)" in done.stderr.splitlines()[-1]
+
+
+def test_a_sweep_runs_in_the_folder_of_its_run_or_says_that_it_cannot(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    assert in_one_folder(["-m", "run=runs/all", "seed=1,2"]) == ["-m", "hydra.sweep.dir=runs/all", "seed=1,2"]
+    assert in_one_folder(["run=runs/all", "seed=1"]) == ["run=runs/all", "seed=1"]
+    for several in ("run=a,b", "run=runs/${seed}"):
+        assert call("ahnn.train", "-m", "seed=1,2", "budget=smoke", several) == 2
+        assert "run: expected one folder for all jobs of a sweep" in capfd.readouterr().err
+    assert not [*tmp_path.iterdir()]

@@ -140,6 +140,8 @@ def test_a_run_is_the_model_that_was_trained(tmp_path):
     again = ahnn.load(str(tmp_path / "run"), ckpt="last")
     assert {p.dtype for p in run.dynamics.parameters()} == {torch.float64}
     assert not any(p.requires_grad for p in run.dynamics.parameters())
+    with pytest.raises(UserError, match=r"dtype: expected torch\.float32 or torch\.float64"):
+        run.to(dtype=torch.float16)
     x = torch.tensor([[0.5, 0.0], [0.1, -0.3]], dtype=torch.float64)
     path = run.rollout(x, steps=3)
     close(path[:, 3], run.flow(run.flow(run.flow(x))), 1e-15)

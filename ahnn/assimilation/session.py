@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections import Counter, deque
 from collections.abc import Callable
 from functools import cached_property
@@ -59,12 +60,14 @@ class Session(StreamSession):
     Attributes:
         fitted: number of the last line to which the start was fitted; lines up to it are skipped.
         undated: whether the time of the start is assumed, since none is stated.
+        since: time of the filter when this command began; lines before it may have been sent again.
     """
 
     filter: Assimilation
     lines: Lines
     fitted: int = 0
     undated: bool = False
+    since: float = -math.inf
 
     @cached_property
     def skipped(self) -> SkippedLines:
@@ -97,6 +100,7 @@ class Session(StreamSession):
             self.skipped.conclude()
 
     def _run(self, watch: Watcher | None) -> None:
+        self.since = self.filter.window.time
         while texts := self.lines.arrived(min(TOGETHER, self.every - self.counted % self.every)):
             self._block(texts, watch)
             self._count()
@@ -171,7 +175,7 @@ class Session(StreamSession):
             self.nis += float(estimate.innovation.nis)
             self.numbers += int(estimate.innovation.measured)
             return
-        self.disordered += estimate.outcome == "late" and reading.time > self.filter.begun["time"]
+        self.disordered += estimate.outcome == "late" and reading.time > self.since
         label = self._said(reading.time) + (f" from sensor {reading.sensor}" if reading.sensor else "")
         if estimate.innovation is None:
             self.ignored[estimate.outcome] += 1

@@ -45,7 +45,7 @@ class StreamTally:
     Attributes:
         counts: number of lines by outcome.
         nis, numbers: sum of the NIS of accepted lines, and their number of values.
-        disordered: number of late lines after the start, counted in this command only.
+        disordered: number of late lines after the time at which this command began.
         gated, refused: number of lines by sensor on which the gate decided, and which it rejected, likewise.
         ratios: rejected measurements beside their predictions, likewise.
         asks: whether the stream may consist of requests for predictions alone.

@@ -48,8 +48,7 @@ LISTS = ("run", "system.path")
 """Keys that accept several values."""
 BARE = re.compile(r"\s*(true|false|[+-]?(inf|nan|(\d[\d_]*\.?\d*|\.\d+)(e[+-]?\d+)?))\s*", re.IGNORECASE)
 """Pattern of numbers and truth values in Hydra's grammar."""
-
-
+SWEPT_INTO = "hydra.sweep.dir="
 VALUED = re.compile(r"argument --(\w+)\S*: ignored explicit argument '(.*)'")
 """Pattern of argparse's message for a flag with a value."""
 
@@ -86,6 +85,14 @@ def worded(text: str) -> str:
     words = value[1:-1].split(",") if many else [value]
     quoted = ",".join(f"'{word.strip()}'" if BARE.fullmatch(word) else word for word in words)
     return f"{key}=[{quoted}]" if many else f"{key}={quoted}"
+
+
+def in_one_folder(arguments: Sequence[str]) -> list[str]:
+    """Let run=DIR of a sweep name the folder of all its jobs, which is Hydra's hydra.sweep.dir."""
+    if not {"-m", "--multirun"} & {*arguments} or any(text.startswith(SWEPT_INTO) for text in arguments):
+        return [*arguments]
+    plain = re.compile(r"run=[^,(${]+")
+    return [SWEPT_INTO + text[4:] if plain.fullmatch(text) else text for text in arguments]
 
 
 def parse(text: str) -> Override:
@@ -171,6 +178,12 @@ def check(args: Namespace, config_name: str) -> DictConfig | None:
     require_folder_name(composed[0])
     check_swept_values(overrides)
     if args.multirun:
+        if "run" in {override.key_or_group for override in overrides}:
+            message = (
+                "run: expected one folder for all jobs of a sweep, whose own folders are 0, 1, ... in it; "
+                f"received {' '.join(args.overrides)}. Use run=DIR or hydra.sweep.dir=DIR"
+            )
+            raise UserError(message)
         folder = Path(composed[0].hydra.sweep.dir)
         require_folder(folder, "hydra.sweep.dir", [folder / "multirun.yaml"])
         if composed[0].hydra.sweeper._target_.endswith("BasicSweeper"):  # which writes multirun.yaml at once

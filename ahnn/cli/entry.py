@@ -32,7 +32,8 @@ def run_hydra(task: Callable[[DictConfig], Any], config_name: str = "train") -> 
     # Hydra does not accept null for a group. For a group that is empty by default it is equivalent to no
     # override.
     given = [argument for argument in sys.argv if argument not in ("experiment=null", "sweep=null")]
-    sys.argv = with_recorded([commandline.worded(argument) for argument in given])
+    words = [commandline.worded(argument) for argument in commandline.in_one_folder(given)]
+    sys.argv = with_recorded(words)
     leave(guard(lambda: start(task, config_name)))
 
 

@@ -24,6 +24,8 @@ LOOKED_AT = 2**16
 """Number of samples for medians accurate to one per cent."""
 SMALL, MEANS = 0.02, 0.25
 """Noise, relative to a component's total motion, that needs no test, and relative tolerance of the means."""
+MODERATE = 0.1
+"""Noise, relative to a component's total motion, below which only means of two samples limit it."""
 PURE = ("1", "1 · mass")
 """Units of components without a unit."""
 TWICE = 2.0
@@ -65,15 +67,17 @@ def falls_as_noise(samples: Tensor, times: Tensor, level: Tensor) -> Tensor:
     """Return the mask (D,) of components whose means of m consecutive samples have the level / sqrt(m).
 
     This holds for independent noise. Motion sampled only a few times per period has high-order differences as
-    large as itself, but not such means. Levels small relative to the motion need no test.
+    large as itself, but not such means. Levels small relative to the motion need no test, and for moderate
+    ones means of three samples, which are fewer per period, may also contain motion.
     """
     if samples.shape[1] <= ORDERS[-1]:
         return torch.zeros_like(level, dtype=torch.bool)
     flat = samples.flatten(0, 1)
     all_of_it = (flat - flat.nanmean(0)).square().nanmean(0).sqrt()
     small, alike = level < SMALL * all_of_it, level < (1 + MEANS) * all_of_it
-    for ratio, allowed in _of_means(samples, times, level):
-        alike &= (ratio < allowed) & (ratio > 1 / allowed)
+    moderate = level < MODERATE * all_of_it
+    for m, ratio, allowed in _of_means(samples, times, level):
+        alike &= ((ratio < allowed) | (moderate & (m > 2))) & (ratio > 1 / allowed)
     return small | alike
 
 
@@ -83,13 +87,13 @@ def is_coloured(samples: Tensor, times: Tensor, level: Tensor) -> Tensor:
     High-order differences are insensitive to noise correlated between samples.
     """
     found = torch.zeros_like(level, dtype=torch.bool)
-    for ratio, allowed in _of_means(samples, times, level):
+    for _, ratio, allowed in _of_means(samples, times, level):
         found |= ratio > allowed
     return found
 
 
-def _of_means(samples: Tensor, times: Tensor, level: Tensor) -> Iterator[tuple[Tensor, float]]:
-    """Yield the level of means of two and three samples relative to white noise, and its bound."""
+def _of_means(samples: Tensor, times: Tensor, level: Tensor) -> Iterator[tuple[int, Tensor, float]]:
+    """Yield, for two and three samples, the level of their means relative to white noise, and its bound."""
     samples = without_events(samples, times)
     for m in (2, 3):
         count = samples.shape[1] // m
@@ -97,7 +101,7 @@ def _of_means(samples: Tensor, times: Tensor, level: Tensor) -> Iterator[tuple[T
             continue
         means, at = (part[:, : m * count].unflatten(1, (count, m)).mean(2) for part in (samples, times))
         ratio = levels(means, at, (order,))[0] * m**0.5 / level
-        yield ratio, 1 + MEANS + 2 / (len(samples) * (count - order)) ** 0.5
+        yield m, ratio, 1 + MEANS + 2 / (len(samples) * (count - order)) ** 0.5
 
 
 def weights(times: Tensor, order: int) -> Tensor:

@@ -101,7 +101,7 @@ class NeuralDynamics(IntegratedField):
 
 MOVES = ("mechanical", "central_body", "pairs")
 """Hamiltonians with known kinetic energy, which describe a motion even without the learned part."""
-CENTRED = ("isotropic", "radial", "central_body", "perturbed_body")
+CENTRED = ("isotropic", "radial", "central_body")
 """Input maps and Hamiltonians that assume a force centre at the origin."""
 
 
@@ -146,7 +146,8 @@ class HamiltonianDynamics(IntegratedField):
         options: dict[str, Any] = {"inputs": inputs, "scaling": scaling, "network": network}
         options |= {"angular": angular, "mu": mu, "falloff": falloff, "dimensions": dimensions}
         field: nn.Module = make_hamiltonian(hamiltonian, dof, mass=inertia, **options)
-        assumed = [f"{hamiltonian} Hamiltonian, {inputs} inputs"]
+        near_others = hamiltonian == "central_body" and not falloff
+        assumed = [f"{'perturbed_body' if near_others else hamiltonian} Hamiltonian, {inputs} inputs"]
         self.anchored = inputs in CENTRED or hamiltonian in CENTRED
         if forces:
             field = Forced(field, forces, dof, controls)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any, NamedTuple, cast
 
@@ -66,16 +67,18 @@ class Explained(NamedTuple):
         if self.lost == self.trajectories:
             return f"no initial state fits the measurements of any of {self.lost} unseen trajectories"
         low, high = self.band
+        digits = max(1, math.ceil(-math.log10(max(high - low, 1e-9) / 2))) if high > low else 1
         text = (
-            f"residuals of unseen measurements have {self.chi_square:#.4g} times the noise variance (1 "
-            f"{low - 1:+.1g} to {high - 1:+.1g} if the model is right), and successive residuals correlate "
-            f"by {self.correlation:+.1g}"
+            f"residuals of unseen measurements have {self.chi_square:#.4g} times the noise variance "
+            f"({low:.{digits}f} to {high:.{digits}f} if the model is right), and successive residuals "
+            f"correlate by {self.correlation:+.1g}"
         )
         text += f"; {in_percent(self.outliers)} excluded as outliers" if self.outliers else ""
         if self.halved_steps is not None and abs(self.halved_steps - self.chi_square) > (high - low) / 2:
             text += (
                 f"; with steps of half the length {self.halved_steps:#.4g} times: the integrator's error "
-                "is not negligible compared with the noise; use an integrator of higher order"
+                "is not negligible compared with the noise; use an integrator of higher order, up to dopri8, "
+                "or denser samples"
             )
         return text + (f"; {self.lost} of {self.trajectories} trajectories not fitted" if self.lost else "")
 

@@ -186,3 +186,14 @@ def test_noise_matters_from_a_ten_thousandth_of_the_usual_step_on(times, said):
     remark = remark_on(still, clock, ["line", "switch"], ["rad", "1"], None)
     assert (remark is not None) == said
     assert remark is None or f"deviations of line {level:.2g} rad," in remark
+
+
+def test_the_noise_of_wide_swings_sampled_twenty_times_a_period_is_found():
+    """The third harmonic is sampled twice in means of three samples, which are then more than noise."""
+    count, sd = 30, 0.02
+    phase = 0.31 * torch.arange(61, dtype=torch.float64).expand(count, -1)
+    amplitude = 0.3 + 1.5 * torch.rand(count, 1, generator=generator(5), dtype=torch.float64)
+    swings = amplitude * (phase.cos() + 0.02 * amplitude**2 * (3 * phase).cos())
+    draw = torch.randn(swings.shape, generator=generator(6), dtype=torch.float64)
+    close(noise_floor((swings + sd * draw).unsqueeze(-1), phase), torch.tensor([sd]), 0.1)
+    assert bool(noise_floor(swings.unsqueeze(-1), phase).isnan().all())

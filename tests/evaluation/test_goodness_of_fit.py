@@ -39,7 +39,7 @@ def test_a_right_model_leaves_the_noise():
     assert found.band[0] < 1 < found.band[1]
     assert found.band[1] - found.band[0] == pytest.approx(4 * (2 / (40 * 29)) ** 0.5, rel=0.03)
     assert found.lost == 0
-    assert "times the noise variance" in found.sentence()
+    assert "times the noise variance (0.92 to 1.08 if the model is right)" in found.sentence()
 
 
 def test_a_wrong_model_leaves_more_and_what_it_leaves_is_not_white():

@@ -170,4 +170,6 @@ def finding(content: Content, c: int, file: str, row: int, ratio: float) -> Find
         if abs(size / factor - 1) < EXACT and ratio > 0:
             return Finding(level, file, row, name, what, f"Correct the unit: {hint}")
     remedy = "If it is a momentum, declare it as one, with its mass; otherwise correct its unit or frame"
+    if content.momenta and ratio > 0:
+        remedy = f"If its unit is right, its mass is {ratio:.4g} times the stated one: correct it (inertia)"
     return Finding(level, file, row, name, what, remedy)

@@ -13,10 +13,13 @@ from ahnn.arguments import nearest
 from ahnn.contents import plain_yaml
 from ahnn.data.files.table import Header, Place
 from ahnn.data.files.unit_suffixes import with_suffixes
+from ahnn.errors import UserError
 from ahnn.files import write_atomically
 from ahnn.manifest import require_own
 
 SUFFIXES = (".yaml", ".yml")
+TABLES = (".csv", ".txt", ".parquet", ".jsonl", ".json")
+"""Extensions of tables that a sidecar describes."""
 KEYS = ("units", "columns", "frame", "controls", "objects")
 OTHERWISE = "If it is not the sidecar of the data file of the same name, rename one of them"
 """Remedy for a file that describes something else."""
@@ -106,8 +109,19 @@ def written(path: Path, said: Sidecar, remarks: Iterable[str] = ()) -> bytes:
 
 
 def require_place(path: Path) -> None:
-    """Raise UserError if the sidecar of an output would overwrite a file that ahnn did not write."""
+    """Check that the sidecar of an output overwrites neither a foreign file nor that of another table.
+
+    Raises:
+        UserError: it does.
+    """
     require_own([beside(path)], "output")
+    others = [path.with_suffix(suffix) for suffix in TABLES if path.suffix != suffix]
+    if beside(path).exists() and (taken := [other.name for other in others if other.is_file()]):
+        message = (
+            f"output: expected a name of its own, since {beside(path).name} describes {taken[0]}; received "
+            f"{path}. Choose another name"
+        )
+        raise UserError(message)
 
 
 def write(path: Path, said: Sidecar, remarks: Iterable[str] = ()) -> None:

@@ -77,6 +77,7 @@ def test_momenta_are_over_the_mass_and_a_doubt_about_them_is_a_warning():
     assert found(swing(factor=4.0), momenta=True, mass=4.0) == []
     (one,) = found(swing(factor=8.0), momenta=True, mass=4.0)
     assert (one.level, one.what) == ("warning", "v over the mass is 2 times the change in q per s")
+    assert one.remedy == "If its unit is right, its mass is 2 times the stated one: correct it (inertia)"
     assert len(found(swing(factor=8.0), mass=8.0)) == 1  # of a velocity the mass does not count
 
 
