@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import re
 from dataclasses import replace
@@ -22,6 +23,8 @@ from ahnn.uncertainty import domain_of, load_uncertainty
 from ahnn.uncertainty.posterior import FILE
 
 log = logging.getLogger(__name__)
+BAD = ("not good", "WORTHLESS", "poor", "worse")
+"""Beginnings of the verdict on a model that is not good."""
 MEMBER = re.compile(r"seed_(\d+)")
 """Folder name of one of several seeds, inside the folder of the run."""
 
@@ -73,6 +76,21 @@ def unfinished_training(folder: Path) -> str:
         f"run {folder}: the training was not finished, so its weights are preliminary and carry no "
         f"uncertainty. Resume it: repeat its command with run={folder} ckpt=last"
     )
+
+
+def judged_training(folder: Path) -> str:
+    """Return a remark on a run whose training was not finished or whose model was judged to be bad, or ""."""
+    if remark := unfinished_training(folder):
+        return remark
+    try:
+        head, *more = json.loads((folder / "metrics.json").read_text())["plugins"]["verdict"]["findings"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""  # saved or shipped models, and runs of older versions
+    word, _, measure = str(head).partition(": ")
+    if not word.startswith(BAD):
+        return ""
+    reason, *_ = [*(text for text in more if not text.startswith("budget=")), measure]
+    return f"run {folder}: its evaluation judged it {word}: {reason.partition(';')[0]}"
 
 
 @cache

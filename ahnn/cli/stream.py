@@ -37,7 +37,7 @@ from ahnn.evaluation.make_case import make_case
 from ahnn.jobs.assimilation_request import AssimilationRequest, Stream, require_places
 from ahnn.jobs.control_times import control_names, known_controls
 from ahnn.jobs.fitted_start import fitted_start
-from ahnn.loading import load, unfinished_training, warn_once
+from ahnn.loading import judged_training, load, warn_once
 from ahnn.measurements import reading
 from ahnn.measurements.station_file import BiasedStation, read_stations
 from ahnn.runs import Run
@@ -66,7 +66,7 @@ def read_stream(arguments: list[str], usage: str) -> Stream:
     options, nodes, request = asked(arguments, usage)
     require_own_keys(options, nodes)
     run = load(request.source, request.ckpt)
-    if remark := unfinished_training(run.folder):
+    if remark := judged_training(run.folder):
         warn_once(remark)
     cfg = filter_config(run.folder, with_filter(request, run))
     known, named = run.uncertainty is not None, bool(nodes) or options.stations is not None

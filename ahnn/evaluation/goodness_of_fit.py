@@ -62,6 +62,12 @@ class Explained(NamedTuple):
         """Whether so many trajectories cannot be fitted that residuals do not show the noise."""
         return self.lost * PARTIAL >= self.trajectories
 
+    @property
+    def is_coarse(self) -> bool:
+        """Whether shorter integrator steps change the chi-square by more than its scatter."""
+        low, high = self.band
+        return self.halved_steps is not None and abs(self.halved_steps - self.chi_square) > (high - low) / 2
+
     def sentence(self) -> str:
         """Return the finding as a note under the table."""
         if self.lost == self.trajectories:
@@ -74,7 +80,7 @@ class Explained(NamedTuple):
             f"correlate by {self.correlation:+.1g}"
         )
         text += f"; {in_percent(self.outliers)} excluded as outliers" if self.outliers else ""
-        if self.halved_steps is not None and abs(self.halved_steps - self.chi_square) > (high - low) / 2:
+        if self.is_coarse:
             text += (
                 f"; with steps of half the length {self.halved_steps:#.4g} times: the integrator's error "
                 "is not negligible compared with the noise; use an integrator of higher order, up to dopri8, "

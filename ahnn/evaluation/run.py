@@ -126,7 +126,7 @@ def add_goodness(case: Case, measured: Segment, findings: Findings) -> None:
         findings.tell(explained.sentence(), findings.faults)
         show("tests of the residuals")
         poor = explained.is_partial and case.robust != "none"  # and without one, outliers may be the cause
-        said = UNJUDGED if poor else remedy(flow, measured, case.robust)
+        said = UNJUDGED if poor else "" if explained.is_coarse else remedy(flow, measured, case.robust)
         later = f"if it remains after a longer training: {said}" if said and case.shortfall else said
         findings.tell(later, findings.faults)
     findings.tell(invisible(flow, measured, case.noise), findings.highlights)

@@ -16,7 +16,7 @@ from ahnn.jobs.asked_starts import asked_starts
 from ahnn.jobs.control_times import moments_of
 from ahnn.jobs.named import named_runs, opened
 from ahnn.jobs.predicting_blocks import blocks_of, predict_block
-from ahnn.loading import unfinished_training
+from ahnn.loading import judged_training
 from ahnn.prediction import durations, output
 from ahnn.prediction.many_trajectories import finite_prediction, joined
 from ahnn.prediction.propagation import Prediction, require_room
@@ -91,7 +91,7 @@ def predict(asked: PredictionRequest) -> None:
     found, begin = turned_prediction(found, begin, asked.output_frame, space)
     title, from_numbers = " + ".join(run.folder.name for run in runs), not isinstance(asked.start, str)
     remarks = [
-        *(unfinished_training(run.folder) for run in runs),
+        *(judged_training(run.folder) for run in runs),
         _of_the_start_only(begin, runs),
         warning(found, begin, space, from_numbers=from_numbers),
         *nonlinear_warnings(found, begin, space),
