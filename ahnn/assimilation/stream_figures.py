@@ -73,7 +73,7 @@ def innovations(record: AssimilationRecord, space: Space, units: Mapping[str, st
                 axes.plot(t[own], at, mark, color=style.BLACK, ms=5, ls="none", label=label)
         axes.set_ylim(-1.1 * limit, 1.1 * limit)
         axes.set_ylabel(f"{name} [{units[name]}]" if units.get(name) else name)
-    style.legend_below(figure, panels[0])
+    style.legend_below(figure, *panels)
     panels[0].set_title(f"{space.name}: innovations")
     panels[-1].set_xlabel(f"time [{unit}]")
     return figure

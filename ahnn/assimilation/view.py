@@ -53,7 +53,7 @@ class View:
     def __call__(self, line: int, reading: Reading, estimate: Estimate, counts: Counter[str]) -> None:
         """Show an estimate, at a limited rate."""
         innovation = estimate.innovation
-        if innovation is not None and int(innovation.measured):
+        if estimate.outcome == "taken" and innovation is not None and int(innovation.measured):
             self.recent.append((float(innovation.nis), int(innovation.measured)))
         self.last = line, reading, estimate, counts
         now = time.monotonic()
@@ -88,13 +88,14 @@ class View:
         return table
 
     def consistency(self) -> str:
-        """Format the mean NIS of the last readings with its 95 % band."""
+        """Format the mean NIS of the last accepted readings with its 95 % band."""
         if not self.recent:
             return "no innovation yet"
         mean, degrees = (sum(values) / len(self.recent) for values in zip(*self.recent, strict=True))
         low, high = band(degrees, len(self.recent))
         return (
-            f"mean NIS of the last {len(self.recent)} readings {mean:.3g}, 95 % band {low:.3g} to {high:.3g}"
+            f"mean NIS of the last {len(self.recent)} accepted readings {mean:.3g}, 95 % band {low:.3g} to "
+            f"{high:.3g}"
         )
 
     def _deviations(self, estimate: Estimate) -> list[float]:

@@ -69,9 +69,10 @@ def picture(content: Content, findings: list[Finding]) -> Figure:
     for one, (time, value) in ringed.items():
         axes = panels[int(names.index(one.column) >= len(content.positions))]
         axes.plot(time, value, "o", mfc="none", color=style.BLACK, ms=8, zorder=5, label="suspicious value")
-    for one, place in list(ringed.items())[:NAMED]:
+    for k, (one, place) in enumerate(list(ringed.items())[:NAMED]):
         axes = panels[int(names.index(one.column) >= len(content.positions))]
-        axes.annotate(f"row {one.row}", place, xytext=(6, 6), textcoords="offset points", fontsize=8)
+        aside = 6, 6 if k % 2 else -12  # neighbours do not overlap
+        axes.annotate(f"row {one.row}", place, xytext=aside, textcoords="offset points", fontsize=8)
     for level, ls in (("fault", "-"), ("warning", ":")):
         times = at[level]
         if level in counted:

@@ -6,6 +6,7 @@ The colours are from Okabe & Ito (2008); line styles differ too, for print witho
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -41,6 +42,8 @@ LOST = 1e30
 NAMES = ("position", "velocity")
 LONG = 7200.0
 """Time span in s above which axes have hours."""
+FEWEST = 2
+"""Number of powers of ten on a logarithmic axis below which twice and five times them are labelled, too."""
 PARTED = 5.0
 """Steps longer than this multiple of the median one are not bridged by a line."""
 
@@ -153,7 +156,8 @@ def logarithmic(axes: Any, first: int, others: Iterable[Any] = ()) -> None:
     low, high = float(values.min()) / 1.3, float(values.max()) * 1.3
     axes.set_ylim(low, min(high, low * 1e18))  # so that a lost prediction does not flatten all other curves
     axes.set_yscale("log")
-    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 30 * low else (1.0,)))
+    decades = math.floor(math.log10(high)) - math.ceil(math.log10(low)) + 1
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if decades < FEWEST else (1.0,)))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())
 

@@ -7,6 +7,8 @@ import io
 import json
 import logging
 import math
+from collections import Counter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -255,6 +257,15 @@ def test_the_view_is_drawn_in_place_on_a_terminal_and_in_lines_elsewhere(tmp_pat
     for text in shown.values():
         assert "95 % band" in text
         assert "3 predicted, 37 taken" in text
+
+
+def test_the_view_averages_accepted_readings():
+    view = View(SPACE, Console(file=io.StringIO()))
+    view.drawn = math.inf  # nothing is drawn
+    for outcome, nis in (("taken", 1.0), ("rejected", 99.0), ("taken", 3.0)):
+        estimate = SimpleNamespace(outcome=outcome, innovation=SimpleNamespace(nis=nis, measured=1))
+        view(1, None, estimate, Counter())
+    assert view.consistency().startswith("mean NIS of the last 2 accepted readings 2, 95 % band")
 
 
 def test_lines_may_end_with_cr_alone_and_are_gone_on_with(tmp_path):
