@@ -96,12 +96,14 @@ def score(
 def moving_average(series: Tensor, width: int) -> Tensor:
     """Return the trailing mean over the last min(k, width) values, shape (T,) (paper, appendix).
 
-    NaN values are ignored; the mean is NaN for a window of only NaN, and inf for a window with an inf.
+    NaN values are ignored; the mean is NaN for a window of only NaN and after the last value, and inf for a
+    window with an inf.
     """
     there, lost = ~series.isnan(), series.isinf()
     values = series.masked_fill(~there | lost, 0.0)
     sums, counts, infinite = (_trailing(x.to(series.dtype), width) for x in (values, there, lost))
-    return (sums / counts).masked_fill(infinite > 0, torch.inf)
+    ended = there.flip(0).cumsum(0).flip(0) == 0
+    return (sums / counts).masked_fill(infinite > 0, torch.inf).masked_fill(ended, torch.nan)
 
 
 def _trailing(x: Tensor, width: int) -> Tensor:

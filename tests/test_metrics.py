@@ -95,6 +95,12 @@ def test_the_moving_average_is_that_of_a_naive_loop(series, width):
     assert np.allclose(got, naive, rtol=0, atol=1e-10)
 
 
+def test_the_moving_average_ends_with_its_values():
+    gap, end = torch.tensor([1.0, np.nan, 3.0, np.nan, np.nan], dtype=torch.float64), np.nan
+    expected = torch.tensor([1.0, 1.0, 2.0, end, end], dtype=torch.float64)
+    assert torch.equal(moving_average(gap, 4).nan_to_num(-1), expected.nan_to_num(-1))
+
+
 def test_the_moving_average_of_a_constant_is_the_constant():
     series = torch.full((500,), 3.0, dtype=torch.float64)
     close(moving_average(series, 240), series, 1e-14)
