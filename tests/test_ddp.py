@@ -27,8 +27,9 @@ MODELS = ("mlp", "node", "hnn", "ahnn", "hnn_derivative")
 
 def train(folder: Path, *overrides: str) -> subprocess.CompletedProcess[str]:
     """Run the entry point as a user does."""
+    place = "hydra.sweep.dir" if "-m" in overrides else "run"
     return subprocess.run(
-        [sys.executable, "-m", "ahnn.train", *overrides, f"run={folder}"],
+        [sys.executable, "-m", "ahnn.train", *overrides, f"{place}={folder}"],
         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
         capture_output=True,
         text=True,
@@ -78,8 +79,8 @@ def test_every_model_ends_with_the_weights_of_one_process(model, tmp_path):
 def test_a_study_of_trainings_on_two_devices(tmp_path):
     arguments = ["-m", *UNEVEN, "trainer=ddp", "trainer.accelerator=cpu", "hydra/sweeper=ahnn_optuna"]
     arguments += ["hydra/launcher=ahnn_process", "hydra.sweeper.n_trials=2", "model=hnn"]
-    arguments += ["optimizer.lr=interval(1e-3,1e-2)", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
-    done = train(tmp_path / "unused", *arguments)
+    arguments += ["optimizer.lr=interval(1e-3,1e-2)"]
+    done = train(tmp_path / "sweep", *arguments)
     assert done.returncode == 0, done.stderr
     assert "2 complete, 0 pruned, 0 failed" in done.stderr
     jobs = {path.name for path in (tmp_path / "sweep").iterdir() if path.is_dir()}
@@ -88,8 +89,8 @@ def test_a_study_of_trainings_on_two_devices(tmp_path):
 
 def test_a_sweep_refuses_several_devices_in_its_own_process(tmp_path):
     arguments = ["-m", *UNEVEN, "trainer=ddp", "hydra/sweeper=ahnn_optuna", "model=hnn"]
-    arguments += ["optimizer.lr=interval(1e-3,1e-2)", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
-    done = train(tmp_path / "unused", *arguments)
+    arguments += ["optimizer.lr=interval(1e-3,1e-2)"]
+    done = train(tmp_path / "sweep", *arguments)
     assert done.returncode != 0
     assert "hydra/launcher=ahnn_process" in done.stderr
     assert not (tmp_path / "sweep" / "0").exists()

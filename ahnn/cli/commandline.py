@@ -178,13 +178,13 @@ def check(args: Namespace, config_name: str) -> DictConfig | None:
     require_folder_name(composed[0])
     check_swept_values(overrides)
     if args.multirun:
-        if "run" in {override.key_or_group for override in overrides}:
+        folder = Path(composed[0].hydra.sweep.dir)
+        if "run" in {override.key_or_group for override in overrides} and folder != Path(composed[0].run):
             message = (
                 "run: expected one folder for all jobs of a sweep, whose own folders are 0, 1, ... in it; "
                 f"received {' '.join(args.overrides)}. Use run=DIR or hydra.sweep.dir=DIR"
             )
             raise UserError(message)
-        folder = Path(composed[0].hydra.sweep.dir)
         require_folder(folder, "hydra.sweep.dir", [folder / "multirun.yaml"])
         if composed[0].hydra.sweeper._target_.endswith("BasicSweeper"):  # which writes multirun.yaml at once
             require_new(folder / "0", composed[0].get("ckpt"))

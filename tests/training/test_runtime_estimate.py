@@ -140,7 +140,7 @@ def test_last_steps_are_timed_on_the_beginnings_of_some_trajectories(rows, sampl
         instrument=Instrument(Position(1), torch.ones(1), 1.0, 1, 1.0),
     )
     model = SimpleNamespace(dynamics=Swing(2.5, 0.5))
-    shape = min(rows, runtime_estimate.STRETCHES), min(samples, runtime_estimate.STRETCH + 1)
+    shape = min(rows, runtime_estimate.SEGMENTS), min(samples, runtime_estimate.INTERVALS + 1)
     seconds = runtime_estimate.shooting_seconds(model, data)  # pyright: ignore
     assert seconds == pytest.approx(6.0 / (shape[1] * (shape[0] + 100)), rel=1e-12)
     batch, asked = seen
