@@ -104,14 +104,35 @@ class SatelliteArc:
         return values.reshape(len(times), -1, 6)
 
 
+class _Slope:
+    """Derivatives of a state and its sensitivities; counts its evaluations and refuses more than `most`."""
+
+    def __init__(self, forces: Forces, p: Array, most: float) -> None:
+        self.forces, self.p, self.most, self.count = forces, p, most, 0
+
+    def __call__(self, t: float, y: Array) -> Array:
+        self.count += 1
+        if self.count > self.most:
+            message = f"orbit: the integration takes more than {self.most:.0f} evaluations of the forces"
+            raise TrainingError(message)
+        rows = y.reshape(-1, 6)
+        value, by_state, by_parameters = self.forces.acceleration(t, rows[0], self.p)
+        moved = rows[1:, :] @ by_state.T
+        moved[6:] += by_parameters.T
+        return np.concatenate((rows[:, 3:], np.vstack((value, moved))), axis=1).ravel()
+
+
+def _fallen(t: float, y: Array) -> float:
+    """Return the height in km above the sphere in which arcs end."""
+    del t
+    return float(np.linalg.norm(y[:3])) - INSIDE
+
+
+cast(Any, _fallen).terminal = True
+
+
 def satellite_arc(
-    forces: Forces,
-    start: Array,
-    p: Array,
-    at: float,
-    first: float,
-    last: float,
-    most: float = np.inf,
+    forces: Forces, start: Array, p: Array, at: float, first: float, last: float, most: float = np.inf
 ) -> SatelliteArc:
     """Propagate an arc from an initial state, with sensitivities.
 
@@ -132,34 +153,16 @@ def satellite_arc(
         TrainingError: the integration fails, for example for a satellite that falls into the Earth, or takes
             too long.
     """
-    columns, count = 6 + len(p), 0
+    columns = 6 + len(p)
     if not np.isfinite(start).all():
         message = "orbit: expected a finite state to propagate; received one that is not"
         raise TrainingError(message)
-
-    def slope(t: float, y: Array) -> Array:
-        nonlocal count
-        count += 1
-        if count > most:
-            message = f"orbit: the integration takes more than {most:.0f} evaluations of the forces"
-            raise TrainingError(message)
-        rows = y.reshape(1 + columns, 6)
-        value, by_state, by_parameters = forces.acceleration(t, rows[0], p)
-        moved = rows[1:, :] @ by_state.T
-        moved[6:] += by_parameters.T
-        return np.concatenate((rows[:, 3:], np.vstack((value, moved))), axis=1).ravel()
-
-    def fallen(t: float, y: Array) -> float:
-        del t
-        return float(np.linalg.norm(y[:3])) - INSIDE
-
-    cast(Any, fallen).terminal = True
+    slope = _Slope(forces, p, most)
     begin = np.concatenate((start[None], np.eye(6), np.zeros((len(p), 6)))).ravel()
     floor = np.full(len(begin), np.inf)
     floor[:6] = FLOOR
     # The solver takes the root mean square over all variables, of which only six control the step.
     floor[:6] /= np.sqrt(1 + columns)
-    precision = PRECISION
 
     def side(end: float) -> OdeSolution | None:
         if end == at:
@@ -170,10 +173,10 @@ def satellite_arc(
             begin,
             "DOP853",
             dense_output=True,
-            rtol=precision,
+            rtol=PRECISION,
             atol=floor,
             max_step=forces.longest,
-            events=fallen,
+            events=_fallen,
         )
         if done.status != 0 or not np.isfinite(done.y[:6]).all():
             why = "the satellite is inside the Earth" if done.status == 1 else done.message
@@ -182,4 +185,4 @@ def satellite_arc(
         return done.sol
 
     before, after = side(first), side(last)
-    return SatelliteArc(first, last, at, before, after, count)
+    return SatelliteArc(first, last, at, before, after, slope.count)
