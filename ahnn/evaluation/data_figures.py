@@ -32,6 +32,8 @@ LINES, BINS = 40, 80
 """Maximum number of findings drawn as lines, and number of bins of the histogram that replaces more lines."""
 NAMED = 8
 """Maximum number of findings labelled with their row."""
+LABEL = np.array([60.0, 16.0])
+"""Width and height of a label in pixels; a label that would overlap another is left out."""
 
 
 def draw(found: Examined, folder: Path) -> None:
@@ -69,10 +71,14 @@ def picture(content: Content, findings: list[Finding]) -> Figure:
     for one, (time, value) in ringed.items():
         axes = panels[int(names.index(one.column) >= len(content.positions))]
         axes.plot(time, value, "o", mfc="none", color=style.BLACK, ms=8, zorder=5, label="suspicious value")
-    for k, (one, place) in enumerate(list(ringed.items())[:NAMED]):
+    labelled: list[Any] = []
+    for one, place in list(ringed.items())[:NAMED]:
         axes = panels[int(names.index(one.column) >= len(content.positions))]
-        aside = 6, 6 if k % 2 else -12  # neighbours do not overlap
-        axes.annotate(f"row {one.row}", place, xytext=aside, textcoords="offset points", fontsize=8)
+        axes.autoscale_view()  # otherwise not before the figure is drawn
+        pixel = axes.transData.transform(place)
+        if all((abs(pixel - other) > LABEL).any() for other in labelled):
+            labelled.append(pixel)
+            axes.annotate(f"row {one.row}", place, xytext=(6, 6), textcoords="offset points", fontsize=8)
     for level, ls in (("fault", "-"), ("warning", ":")):
         times = at[level]
         if level in counted:
