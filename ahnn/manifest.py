@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import stat
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -152,7 +153,7 @@ def _word(path: Path) -> str:
 
 
 def _text(manifest: Path) -> str:
-    plain = not manifest.is_symlink() and (manifest.is_file() or not manifest.exists())
+    plain = stat.S_ISREG(manifest.lstat().st_mode)  # one look, since others may create it meanwhile
     text = manifest.read_text("utf-8", "replace") if plain else ""
     begun = plain and not text  # by another thread or process, which has not yet written its first line
     if not (begun or text.startswith(HEAD[:20])):
