@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import re
 from dataclasses import replace
@@ -12,6 +11,7 @@ from typing import Any
 
 from ahnn.arguments import checked, flatten
 from ahnn.checkpoints import Weights, read_weights
+from ahnn.contents import read_json
 from ahnn.dynamics import make_dynamics
 from ahnn.dynamics.sizes import fillable
 from ahnn.errors import UserError
@@ -83,8 +83,8 @@ def judged_training(folder: Path) -> str:
     if remark := unfinished_training(folder):
         return remark
     try:
-        head, *more = json.loads((folder / "metrics.json").read_text())["plugins"]["verdict"]["findings"]
-    except (OSError, ValueError, KeyError, TypeError):
+        head, *more = read_json(folder / "metrics.json")["plugins"]["verdict"]["findings"]
+    except (UserError, ValueError, KeyError, TypeError):
         return ""  # saved or shipped models, and runs of older versions
     word, _, measure = str(head).partition(": ")
     if not word.startswith(BAD):

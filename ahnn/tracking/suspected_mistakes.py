@@ -86,7 +86,11 @@ def suspected_mistakes(
         limit = max(WIDE, EXPLAINED * (size if np.isfinite(size) else LOST))
     else:
         limit = max(WIDE / 2, EXPLAINED * size_of(problem, point))
-    fits = [(fitted_size(other), words) for words, other in nearest_first(problem)]
+    fits: list[tuple[float, str]] = []
+    for words, other in nearest_first(problem):
+        fits.append((fitted_size(other), words))
+        if fits[-1][0] < WIDE:  # nothing is left to explain
+            break
     limit = min(limit, ALIKE * min((size for size, _ in fits), default=0.0))
     return [words for size, words in fits if size < limit][:1]
 
