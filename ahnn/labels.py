@@ -39,12 +39,26 @@ def components(space: Space) -> list[str]:
     return found
 
 
+def physical_components(space: Space) -> list[str]:
+    """Return the names of positions and their velocities, or of general momenta, with units."""
+    if not space.mechanical:
+        return components(space)
+    alike = [of_coordinates(space, angle=angle).units for angle in space.angular]
+    positions = [*zip(space.components[: space.dof], alike, strict=True)]
+    return [*(f"{q} [{u.position}]" for q, u in positions), *(f"v{q} [{u.velocity}]" for q, u in positions)]
+
+
 def of_coordinates(space: Space, *, angle: bool) -> Space:
     """Return a space with uniform units, for coordinates that are all angles or all lengths."""
     if angle and space.units.position != "rad":
         units = space.units._replace(position="rad", velocity=f"rad/{space.units.time}")
         return space._replace(units=units)
     return space._replace(angles=())
+
+
+def duration(value: float, space: Space) -> str:
+    """Return a time or duration with its unit, without one if the system is dimensionless."""
+    return f"{value:g} {space.units.time}".removesuffix(" 1")
 
 
 def momentum_unit(space: Space) -> str:

@@ -19,6 +19,7 @@ from ahnn.contents import read_plain
 from ahnn.deviations import covariance_factor, state_deviations
 from ahnn.dynamics import Dynamics, HasEnergy
 from ahnn.errors import UserError
+from ahnn.labels import duration
 from ahnn.numbers import Numbers, as_float64, require_precision
 from ahnn.prediction.arguments import clock_along, lengths_of, paths_of, sample_clock, starts_of, states_of
 from ahnn.prediction.followed_path import Knowledge
@@ -62,9 +63,8 @@ class Run:
 
     def __repr__(self) -> str:
         count = sum(p.numel() for p in self.dynamics.parameters())
-        step = f"dt={self.dt:g} {self.space.units.time}".removesuffix(" 1")
-        what = f"{self.space.name}: {self.dynamics.assumes}; {count} parameters, {step}"
-        return f"Run({what}, folder={str(self.folder)!r})"
+        what = f"{self.space.name}: {self.dynamics.assumes}; {count} parameters"
+        return f"Run({what}, dt={duration(self.dt, self.space)}, folder={str(self.folder)!r})"
 
     def _repr_html_(self) -> str:
         scored = (self.folder / "metrics.json").is_file()

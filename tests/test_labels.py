@@ -28,7 +28,6 @@ from ahnn.measurements import reading
 from ahnn.prediction.ephemeris_message import ephemerides
 from ahnn.prediction.figure import prediction_figure
 from ahnn.prediction.prediction_table import columns
-from ahnn.prediction.prediction_table import labels as prediction_labels
 from ahnn.prediction.propagation import Prediction
 from ahnn.prediction.summary import summary
 from ahnn.systems import CartPole, MassSpring, MolniyaGravity
@@ -145,7 +144,7 @@ def test_angles_beside_lengths_have_a_unit_of_their_own():
     assert labels.headed(space, "velocity") == "momentum [kg m/s, kg m²/s]"
     joint = Space("joint", ("x", "a", "px", "pa"), Units("s", "m", "m/s", "J"), angles=("a",))
     assert labels.components(joint)[1::2] == ["a [rad]", "pa [rad/s]"]
-    assert prediction_labels(joint) == ["x [m]", "a [rad]", "vx [m/s]", "va [rad/s]"]
+    assert labels.physical_components(joint) == ["x [m]", "a [rad]", "vx [m/s]", "va [rad/s]"]
 
 
 def test_momenta_of_different_masses_are_divided_each_by_its_own():

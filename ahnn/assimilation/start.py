@@ -20,6 +20,7 @@ from ahnn.data.starts import Starts
 from ahnn.deviations import state_deviations
 from ahnn.errors import UserError
 from ahnn.estimation import Belief, initial_belief
+from ahnn.labels import duration
 from ahnn.types import Space
 
 log = logging.getLogger("ahnn")
@@ -77,7 +78,7 @@ def belief_of(
     elif found.since is not None:
         times, states = found.since
         covariance = carry(states, torch.cat((times, found.times)), covariance)
-        span = f"{float(found.times - times):g} {space.units.time}"
+        span = duration(float(found.times - times), space)
         log.info("start: the covariance is propagated by the model from a state %s earlier", span)
     try:
         return initial_belief(found.states, covariance)

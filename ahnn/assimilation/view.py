@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
+from collections.abc import Iterator
 from types import TracebackType
 
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
+from rich.text import Text
 
 from ahnn.assimilation.instrument_reading import Reading
 from ahnn.assimilation.stream_estimate import Estimate
 from ahnn.estimation.consistency import band
-from ahnn.labels import momentum_unit
+from ahnn.labels import duration, physical_components
 from ahnn.types import Space
 
 LAST = 100
@@ -65,23 +67,18 @@ class View:
         if self.live is not None:
             self.live.update(self.table(line, reading, estimate, counts), refresh=True)
             return
-        values = zip(self.space.components, estimate.mean.tolist(), self._deviations(estimate), strict=True)
-        state = "  ".join(f"{name} {value:.6g} ± {3 * sd:.2g}" for name, value, sd in values)
-        text = f"line {line}, time {estimate.time:g}: {state}; {self.consistency()}; {summary(counts)}"
+        state = "  ".join(f"{name} {value:.6g} ± {3 * sd:.2g}" for name, value, sd in self._rows(estimate))
+        when = duration(estimate.time, self.space)
+        text = f"line {line}, time {when}: {state}; {self.consistency()}; {summary(counts)}"
         self.console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def table(self, line: int, reading: Reading, estimate: Estimate, counts: Counter[str]) -> Table:
         """Build the table shown on a terminal."""
-        units = self.space.units
-        table = Table(title=f"{self.space.name}: line {line}, time {estimate.time:g} {units.time}")
-        for head in ("", "estimate", "3 sigma", "unit"):
+        table = Table(title=f"{self.space.name}: line {line}, time {duration(estimate.time, self.space)}")
+        for head in ("", "estimate", "3 sigma"):
             table.add_column(head, justify="right")
-        momentum = momentum_unit(self.space)
-        names, dof = self.space.components, self.space.dof
-        for k, (name, value, sd) in enumerate(
-            zip(names, estimate.mean.tolist(), self._deviations(estimate), strict=True)
-        ):
-            table.add_row(name, f"{value:.8g}", f"{3 * sd:.3g}", units.position if k < dof else momentum)
+        for name, value, sd in self._rows(estimate):
+            table.add_row(Text(name), f"{value:.8g}", f"{3 * sd:.3g}")  # as a string, [m] would be markup
         table.caption = "\n".join(
             (f"{reading.sensor or 'no sensor'}: {described(estimate)}", self.consistency(), summary(counts))
         )
@@ -98,8 +95,11 @@ class View:
             f"{high:.3g}"
         )
 
-    def _deviations(self, estimate: Estimate) -> list[float]:
-        return estimate.covariance.diagonal().clamp(min=0.0).sqrt().tolist()
+    def _rows(self, estimate: Estimate) -> Iterator[tuple[str, float, float]]:
+        """Return name with unit, estimate and standard deviation of each component, or velocity."""
+        deviations = estimate.covariance.diagonal().clamp(min=0.0).sqrt()
+        values = ((part / self.space.scales).tolist() for part in (estimate.mean, deviations))
+        return zip(physical_components(self.space), *values, strict=True)
 
 
 def described(estimate: Estimate) -> str:

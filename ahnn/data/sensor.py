@@ -42,7 +42,8 @@ class Sensor:
             momenta, one per component, or the noise of one of several stations. For recorded measurements
             also `estimate`: they are estimated in training.
         every: number of trajectory samples between measurements.
-        stride: maximum number of trajectory samples per integrator step; a step ends at each measurement.
+        stride: maximum integrator step, in trajectory samples; a step ends at each measurement. 0.25 takes
+            at least four steps per sample.
         gaps: fraction of randomly missing measurements.
         outliers: fraction of measured values with an error of 50 standard deviations.
         bias_sd: standard deviations of constant biases, in the format of `Biases.of`. Biases are drawn with
@@ -66,7 +67,7 @@ class Sensor:
         measured: Literal["state", "position"] | Any,
         noise: float | list[float] | Literal["estimate"],
         every: Count = 1,
-        stride: Count = 1,
+        stride: Positive = 1,
         gaps: Share = 0.0,
         outliers: Share = 0.0,
         bias_sd: float | list[float] | None = None,

@@ -84,7 +84,7 @@ class Explained(NamedTuple):
             text += (
                 f"; with steps of half the length {self.halved_steps:#.4g} times: the integrator's error "
                 "is not negligible compared with the noise; use an integrator of higher order, up to dopri8, "
-                "or denser samples"
+                "or shorter steps, such as data.stride=0.25 for four per sample"
             )
         return text + (f"; {self.lost} of {self.trajectories} trajectories not fitted" if self.lost else "")
 

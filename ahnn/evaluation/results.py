@@ -50,6 +50,13 @@ class Results(NamedTuple):
         """Return the row with a given identity, or None."""
         return next((row for row in self.rows if row.who == who), None)
 
+    @property
+    def verdict(self) -> tuple[str, ...]:
+        """Findings of the verdict, its judgement first; none in the results of older versions."""
+        stated = self.numbers.get("verdict")
+        found = stated.get("findings") if isinstance(stated, Mapping) else None
+        return tuple(map(str, found)) if isinstance(found, list) else ()
+
     def __str__(self) -> str:
         from ahnn.evaluation.score_table import results_table
 

@@ -6,8 +6,7 @@ import torch
 from matplotlib.figure import Figure
 
 from ahnn.evaluation import style
-from ahnn.labels import quantity
-from ahnn.prediction.prediction_table import labels
+from ahnn.labels import physical_components, quantity
 from ahnn.prediction.propagation import Prediction
 from ahnn.types import Space
 from ahnn.uncertainty import BEYOND
@@ -35,7 +34,7 @@ def prediction_figure(prediction: Prediction, space: Space, title: str, about: s
     size, clock = style.plotted_time(float(prediction.times[-1] - prediction.times[0]), space.units.time)
     time, n = prediction.times / size, space.dof
     colours = (style.BLUE, style.VERMILLION, style.GREEN, style.PURPLE, style.ORANGE, style.SKY)
-    for k, name in enumerate(labels(space)):
+    for k, name in enumerate(physical_components(space)):
         axes, scale = panels[k // n], 1 / float(space.scales[k])
         value, colour = prediction.states[0, :, k] * scale, colours[k % n % len(colours)]
         axes.plot(time, value, color=colour, label=name)

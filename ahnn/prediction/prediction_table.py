@@ -14,7 +14,7 @@ from ahnn.data.files.sidecar import Sidecar
 from ahnn.data.files.units import product
 from ahnn.data.starts import Starts
 from ahnn.errors import UserError
-from ahnn.labels import components, of_coordinates
+from ahnn.labels import physical_components
 from ahnn.prediction.durations import picoseconds
 from ahnn.prediction.propagation import Prediction
 from ahnn.types import Space
@@ -43,7 +43,7 @@ def columns(
         utc = starts.reference.clock == "UTC"
         moments = (epoch + picoseconds(float(t), space.units.time) for t in times)
         found["epoch"] = np.asarray([epochs.spelled(moment, utc=utc) for moment in moments])
-    names, factors = labels(space), 1 / space.scales.numpy()
+    names, factors = physical_components(space), 1 / space.scales.numpy()
     for prefix, values in (("", prediction.states), ("sd_", prediction.deviations)):
         if values is not None:
             rows = values.flatten(0, 1).numpy() * factors
@@ -69,15 +69,6 @@ def described(starts: Starts, space: Space) -> Sidecar:
     columns = {"time": time, "id": "id", "positions": names, **rates}
     units = {} if reference.epoch is None else {"epoch": reference.clock or "UTC"}
     return Sidecar(units, columns, str(reference._replace(epoch=None)), objects=names_by_id(starts.objects))
-
-
-def labels(space: Space) -> list[str]:
-    """Return the names of positions and their velocities, or of general momenta, with units."""
-    if not space.mechanical:
-        return components(space)
-    alike = [of_coordinates(space, angle=angle).units for angle in space.angular]
-    positions = [*zip(space.components[: space.dof], alike, strict=True)]
-    return [*(f"{q} [{u.position}]" for q, u in positions), *(f"v{q} [{u.velocity}]" for q, u in positions)]
 
 
 def as_csv(found: dict[str, Any]) -> bytes:

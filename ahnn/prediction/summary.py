@@ -6,9 +6,9 @@ from torch import Tensor
 
 from ahnn.data.estimate_table import components_with_units
 from ahnn.data.starts import Starts
+from ahnn.labels import duration, physical_components
 from ahnn.numbers import in_percent
 from ahnn.prediction.beginning import beginning
-from ahnn.prediction.prediction_table import labels
 from ahnn.prediction.propagation import Prediction
 from ahnn.types import Space
 from ahnn.uncertainty import BEYOND, LINEAR
@@ -17,17 +17,19 @@ from ahnn.uncertainty import BEYOND, LINEAR
 def summary(prediction: Prediction, starts: Starts, space: Space, title: str) -> str:
     """Return title, last state of the first trajectory with its standard deviations, and the novelty."""
     count, samples, _ = prediction.states.shape
-    end = f"{float(prediction.times[-1]):g} {space.units.time}"
+    end = duration(float(prediction.times[-1]), space)
     whose = f", {count} trajectories, of which this is {starts.names[0]}" if count > 1 else ""
     begins = beginning(prediction, starts, space.units.time)
     lines = [f"{title}: {samples:,} states over {end}{whose}", begins]
     deviations = prediction.deviations
     lines.append(f"  {'':16s}{'last state':>16s}{'1 sigma':>12s}")
-    for k, name in enumerate(labels(space)):
+    for k, name in enumerate(physical_components(space)):
         scale = 1 / float(space.scales[k])
         value = float(prediction.states[0, -1, k]) * scale
         sigma = "not known" if deviations is None else f"{float(deviations[0, -1, k]) * scale:.3g}"
         lines.append(f"  {name:16s}{value:>16.9g}{sigma:>12s}")
+    if deviations is None:
+        lines.append("  1 sigma needs start_sd=, or weights trained on measurements")
     if prediction.novelty is not None:
         last, most = float(prediction.novelty[0, -1]), float(prediction.novelty.max())
         lines.append(
@@ -65,8 +67,8 @@ def warning(
         units = f". The numbers in start= are read as {', '.join(components_with_units(space))}"
     return (
         f"novelty: {in_percent(fraction)} of the predicted states lie beyond the training data, up to "
-        f"{float(prediction.novelty.max()):.3g} times as far as its edge, first{whose} at t = {first:g} "
-        f"{space.units.time}. Errors there may be far larger than the bands{units}"
+        f"{float(prediction.novelty.max()):.3g} times as far as its edge, first{whose} at t = "
+        f"{duration(first, space)}. Errors there may be far larger than the bands{units}"
     )
 
 
@@ -99,6 +101,6 @@ def _leaving(index: Tensor, prediction: Prediction, starts: Starts, space: Space
     first = float(starts.times[row] + prediction.times[sample])
     whose = f" of {starts.names[row]}" if len(index) > 1 else ""
     return (
-        f"{whose}: from about t = {first:g} {space.units.time} on, errors are too large to propagate "
+        f"{whose}: from about t = {duration(first, space)} on, errors are too large to propagate "
         f"linearly (index {float(index.max()):.2g}, linear up to {LINEAR:g})"
     )

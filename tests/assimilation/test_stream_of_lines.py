@@ -255,6 +255,7 @@ def test_the_view_is_drawn_in_place_on_a_terminal_and_in_lines_elsewhere(tmp_pat
     assert "\x1b[" in shown[True]
     assert "\x1b[" not in shown[False]
     for text in shown.values():
+        assert "q [m]" in text
         assert "95 % band" in text
         assert "3 predicted, 37 taken" in text
 

@@ -142,13 +142,15 @@ def _method(confidence: float) -> Markup:
 
 def runs_table(collection: Collection) -> Grid:
     """Build the table of run folders and their provenance."""
-    names = ("model", "system", "seed", "date", "version", "commit", "command")
+    names = ("model", "system", "seed", "verdict", "date", "version", "commit", "command")
     lines = []
     for entry in collection.entries:
         about = entry.results.about
         said = [str(about.get(key) or "–") for key in ("date", "ahnn", "commit", "command")]
         said[2] = said[2][:12] + ("-dirty" if said[2].endswith("-dirty") else "")
-        cells = [entry.model, entry.system, str(entry.results.training.get("seed", "–")), *said]
+        verdict = next(iter(entry.results.verdict), "–").partition(": ")[0]
+        seed = str(entry.results.training.get("seed", "–"))
+        cells = [entry.model, entry.system, seed, verdict, *said]
         lines.append(Line(str(entry.folder), tuple(Cell(text, "words") for text in cells)))
     head = ((Head("folder"), *map(Head, names)),)
     return Grid(

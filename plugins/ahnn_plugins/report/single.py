@@ -44,7 +44,7 @@ def sections(collection: Collection, grids: dict[str, list[Grid]], pictures: lis
     )
     numbers = [Section("numbers", "Further numbers", _numbers(entry))] if results.numbers else []
     return [
-        Section("summary", "Summary", escaped([_training(entry), remarks_html(sentences)])),
+        Section("summary", "Summary", escaped([_verdict(entry), _training(entry), remarks_html(sentences)])),
         Section("scores", "Scores", grid_html(scores)),
         *consistent,
         *drawn,
@@ -52,6 +52,13 @@ def sections(collection: Collection, grids: dict[str, list[Grid]], pictures: lis
         Section("settings", "Settings", _settings(entry)),
         Section("provenance", "Provenance", _provenance(entry)),
     ]
+
+
+def _verdict(entry: Entry) -> Markup:
+    if not entry.results.verdict:
+        return Markup()
+    judged, *reasons = entry.results.verdict
+    return escaped([tag("p", tag("strong", judged)), remarks_html(reasons)])
 
 
 def _training(entry: Entry) -> Markup:
@@ -85,6 +92,7 @@ def _numbers(entry: Entry) -> Markup:
     parts = [
         tag("details", tag("summary", name), tag("pre", as_text(value)), class_="more")
         for name, value in entry.results.numbers.items()
+        if name != "verdict"
     ]
     return escaped([tag("p", "Further results of the evaluations; long lists are cut."), *parts])
 

@@ -87,7 +87,9 @@ def evil_results(label=EVIL, **changes):
     space = SPRING._replace(name=f"../{EVIL}", frame=EVIL, units=SPRING.units._replace(position=EVIL))
     training = {"seed": EVIL, "window": EVIL, EVIL: [EVIL], "steps": {"a": EVIL}}
     band = {"mean": 1.0, "band_95": [0.0, 2.0]}
-    more = {"training": training, "numbers": {EVIL: {EVIL: band}, "b": EVIL, "c": [EVIL] * 20}}
+    judged = {"verdict": {"findings": [EVIL]}}
+    numbers = {EVIL: {EVIL: band}, "b": EVIL, "c": [EVIL] * 20, **judged}
+    more = {"training": training, "numbers": numbers}
     about = {"command": EVIL, EVIL: EVIL, "date": EVIL, "commit": EVIL, "ahnn": EVIL, "threads": EVIL}
     return results(rows, label, space=space, **more, about=about)._replace(assumes=EVIL, **changes)
 
@@ -120,12 +122,15 @@ def test_a_spreadsheet_computes_nothing_that_a_run_folder_says(tmp_path):
 def test_the_page_of_one_run_has_its_settings_consistency_and_notes(tmp_path):
     band = {"nees": {"mean": 9.0, "band_95": [1.0, 2.0]}}
     rows = [*paper_rows("mass_spring", "HNN", 1.0), Row(Who("model", "fitted"), scores(1.0), note="a remark")]
-    folder = write(tmp_path / "run", results(rows, numbers={"ukf": band}))
+    judged = {"findings": ["not good: relative error 1 %", "a reason"]}
+    folder = write(tmp_path / "run", results(rows, numbers={"ukf": band, "verdict": judged}))
     (folder / "config.yaml").write_text("seed: 7\nmodel: {width: 64}\n")
     text, page = report([folder], tmp_path / "out")
     said = " ".join(page.texts)
     for part in ("width: 64", "overconfident", "a remark", "0123456789abcdef", "UKF, perturbed start"):
         assert part in said
+    places = [said.index(part) for part in ("not good: relative error 1 %", "a reason", "prior knowledge")]
+    assert places == sorted(places)
     assert "their cells are empty" not in said
     assert "Claims" not in text
     assert {link.removeprefix("#") for link in page.links} <= {*page.ids}
