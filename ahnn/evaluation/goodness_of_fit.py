@@ -24,6 +24,11 @@ NORMAL95 = 1.959963984540054
 """Half-width of the central 95 % of a normal distribution, in standard deviations."""
 PARTIAL = 4
 """A model that does not fit one in so many trajectories is too poor for a diagnosis of the noise."""
+COARSE = 3.0
+"""Factor by which shorter steps reduce the chi-square of trajectories not fitted if they are the cause.
+
+Halved steps of a method of order p reduce it by 4^p.
+"""
 OUTLYING = 6.0
 """Number of standard deviations beyond which a value is an outlier, if training used a robust loss."""
 
@@ -40,6 +45,8 @@ class Explained(NamedTuple):
         trajectories: number of trajectories tried.
         outliers: fraction of measured values excluded as outliers.
         halved_steps: the same chi-square with steps of half the length; None without a field.
+        gain: factor by which steps of half the length reduce the chi-square of the trajectories not fitted;
+            NaN if all diverge, None without such trajectories or without a field.
     """
 
     chi_square: float
@@ -50,6 +57,7 @@ class Explained(NamedTuple):
     trajectories: int
     outliers: float = 0.0
     halved_steps: float | None = None
+    gain: float | None = None
 
     @property
     def consistent(self) -> bool:
@@ -64,14 +72,18 @@ class Explained(NamedTuple):
 
     @property
     def is_coarse(self) -> bool:
-        """Whether shorter integrator steps change the chi-square by more than its scatter."""
+        """Whether shorter steps change the chi-square, or fit what longer ones do not, beyond chance."""
         low, high = self.band
-        return self.halved_steps is not None and abs(self.halved_steps - self.chi_square) > (high - low) / 2
+        changed = (
+            self.halved_steps is not None and abs(self.halved_steps - self.chi_square) > (high - low) / 2
+        )
+        return changed or (self.gain is not None and self.gain > COARSE)
 
     def sentence(self) -> str:
         """Return the finding as a note under the table."""
         if self.lost == self.trajectories:
-            return f"no initial state fits the measurements of any of {self.lost} unseen trajectories"
+            what = f"any of {self.lost} unseen trajectories"
+            return f"no initial state fits the measurements of {what}{self._steps()}"
         low, high = self.band
         digits = max(1, math.ceil(-math.log10(max(high - low, 1e-9) / 2))) if high > low else 1
         text = (
@@ -80,13 +92,23 @@ class Explained(NamedTuple):
             f"correlate by {self.correlation:+.1g}"
         )
         text += f"; {in_percent(self.outliers)} excluded as outliers" if self.outliers else ""
-        if self.is_coarse:
-            text += (
-                f"; with steps of half the length {self.halved_steps:#.4g} times: the integrator's error "
-                "is not negligible compared with the noise; use an integrator of higher order, up to dopri8, "
-                "or shorter steps, such as data.stride=0.25 for four per sample"
-            )
-        return text + (f"; {self.lost} of {self.trajectories} trajectories not fitted" if self.lost else "")
+        text += f"; {self.lost} of {self.trajectories} trajectories not fitted" if self.lost else ""
+        return text + self._steps()
+
+    def _steps(self) -> str:
+        """Return the remark on steps that are too long; "" if they are not."""
+        if not self.is_coarse:
+            return ""
+        found = (
+            f"paths of trajectories not fitted have residuals {self.gain**0.5:.2g} times smaller"
+            if self.gain is not None and self.gain > COARSE
+            else f"{self.halved_steps:#.4g} times"
+        )
+        return (
+            f"; with steps of half the length {found}: the integrator's error is not negligible compared "
+            "with the noise; use an integrator of higher order, up to dopri8, or shorter steps, such as "
+            "data.stride=0.25 for four per sample"
+        )
 
     def numbers(self) -> dict[str, Any]:
         """Return plain values for metrics.json."""
@@ -153,14 +175,18 @@ def explain(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") 
     degrees = segment.measured - 2 * segment.instrument.dof
     met = (degrees > 0) & (fitted.sums <= LOST * segment.measured)
     total = float(degrees[met].sum())
-    part, halved = segment.rows(met), None
+    part, halved, gain = segment.rows(met), None, None
     residuals = part.scores(fitted.states[met][:, steps.ends])
     chi = float(residuals.square().sum()) / total if total else float("nan")
-    if total and has_field(dynamics):
-        near, half = fitted.starts[met], steps.rows(met).halved()
-        trial = trial_of(dynamics, loss_of("none", part.instrument.freedom))
-        again = refine(trial, near, part, half, FOLLOWING, SURE)
-        halved = float(part.scores(again.states[:, half.ends]).square().sum()) / total
+    if has_field(dynamics):
+        if total:
+            again, half = with_halved_steps(dynamics, part, fitted.rows(met), steps.rows(met))
+            halved = float(part.scores(again.states[:, half.ends]).square().sum()) / total
+        if not met.all():
+            far = fitted.rows(~met)
+            again, _ = with_halved_steps(dynamics, segment.rows(~met), far, steps.rows(~met))
+            followed = far.sums.isfinite() & again.sums.isfinite()
+            gain = float(far.sums[followed].sum() / again.sums[followed].sum())
     correlation, pairs = serial(residuals.masked_fill(part.values.isnan(), torch.nan))
     # After a fit, successive residuals correlate by about minus the number of unknowns per value.
     spent = 1 - total / float(part.measured.sum()) if total else 0.0
@@ -173,7 +199,17 @@ def explain(dynamics: nn.Module, segment: Segment, robust: RobustName = "none") 
         trajectories=len(met),
         outliers=outlier_fraction(given, segment),
         halved_steps=halved,
+        gain=gain,
     )
+
+
+def with_halved_steps(
+    dynamics: nn.Module, segment: Segment, fitted: Fitted, steps: Steps
+) -> tuple[Fitted, Steps]:
+    """Refine initial states that were fitted with longer steps; return them and the steps."""
+    half = steps.halved()
+    trial = trial_of(dynamics, loss_of("none", segment.instrument.freedom))
+    return refine(trial, fitted.starts, segment, half, FOLLOWING, SURE), half
 
 
 def serial(residuals: Tensor, apart: int = 1) -> tuple[float, int]:

@@ -60,6 +60,21 @@ def test_an_integrator_that_shows_beside_the_noise_is_named():
     assert "half the length" not in exact.sentence()
 
 
+@pytest.mark.parametrize(("method", "order", "noise"), [("euler", 1, 1e-5), ("midpoint", 2, 1e-8)])
+def test_an_integrator_that_fits_no_trajectory_is_named_and_a_wrong_model_is_not(method, order, noise):
+    batch = measured(4, noise=noise)
+    found = explain(Spring(SPRING, method), batch)
+    assert found.lost == found.trajectories
+    assert found.gain == pytest.approx(4**order, rel=0.2)  # errors are proportional to dt^order
+    assert found.is_coarse
+    assert f"residuals {found.gain**0.5:.2g} times smaller" in found.sentence()
+    wrong = explain(Spring(dataclasses.replace(SPRING, stiffness=5.6)), measured(4, noise=1e-4))
+    assert wrong.lost == wrong.trajectories
+    assert wrong.gain == pytest.approx(1.0, rel=1e-3)
+    assert not wrong.is_coarse
+    assert "half the length" not in wrong.sentence()
+
+
 @pytest.mark.parametrize("robust", ["huber", "student"])
 def test_outliers_are_left_out_where_the_training_weighed_them_down(robust):
     batch = measured(outliers=0.05)
