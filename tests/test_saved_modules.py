@@ -26,3 +26,9 @@ def test_a_saved_model_filters_a_stream_with_given_process_noise(tmp_path, capfd
     gain = predicted / (predicted + 0.05**2)
     assert float(row["q"]) == pytest.approx(1.0 - 0.1 * gain, rel=1e-9)
     assert float(row["cov_q_q"]) == pytest.approx((1.0 - gain) * predicted, rel=1e-9)
+
+
+def test_an_evaluation_of_a_saved_model_names_what_it_lacks(tmp_path, capfd):
+    ahnn.save(free(), SPACE, 0.1, tmp_path / "mine")
+    assert call("ahnn.evaluate", f"run={tmp_path / 'mine'}") == 2
+    assert "expected a run with its data; received a model written by ahnn.save" in capfd.readouterr().err

@@ -20,6 +20,7 @@ from ahnn.contents import read_plain
 from ahnn.errors import UserError
 from ahnn.paths import cache_dir
 from ahnn.pretrained import shipped
+from ahnn.stored import SAVED
 
 OWN = ("run", "pretrained", "ckpt", "name")
 """Keys of `Own`."""
@@ -99,6 +100,12 @@ def run_config(folder: Path, request: Request) -> DictConfig:
             effect or a wrong value.
     """
     path = folder / "config.yaml"
+    if (folder / SAVED).exists() and not path.exists():
+        message = (
+            f"run={folder}: expected a run with its data; received a model written by ahnn.save. "
+            "ahnn.predict, ahnn.assimilate and ahnn.export accept it; ahnn.fit trains and evaluates on tensors"
+        )
+        raise UserError(message)
     content = read_plain(path)
     missing = [key for key in NODES if not isinstance(content.get(key), dict)]
     missing += [key for key in KEYS if key not in content]

@@ -64,10 +64,11 @@ def test_what_does_not_fit_the_model_is_one_message(given, more, said, capsys):
     assert not Path("out.csv").exists()
 
 
-def test_a_start_is_turned_into_the_frame_of_the_model_with_its_covariance():
+def test_a_start_is_turned_into_the_frame_of_the_model_with_its_covariance(caplog):
     run = framed(Path("run"), "GCRF, EARTH, UTC, from 2026-01-01T00:00:00.000")
     start = message("ITRF2014", axes="ITRF2014")
     assert call("ahnn.predict", f"run={run}", start, *SHORT, "output=out.oem") == 0
+    assert not [text for text in caplog.messages if "rotates" in text]
     (found,) = read_oem("out.oem")
     assert (found.frame, found.center, found.time_system, found.start) == ("GCRF", "EARTH", "UTC", NOON)
     turned = Files("turned", "start.oem", frame="GCRF").read().states[0, 0]

@@ -55,9 +55,6 @@ class Recordings(ABC):
         gap: float,
         unsound: bool,
     ) -> None:
-        if space.frame.upper().startswith(ROTATING):
-            message = "%s: frame %s rotates, so that mass times velocity is not a momentum"
-            log.warning(message, space.name, space.frame)
         self.space, self.positions_only = space, not contents[0].rates
         self.momenta = contents[0].momenta
         self.mass, self.cut, self.gap, self.unsound = mass, cut, gap, unsound
@@ -76,6 +73,9 @@ class Recordings(ABC):
         """
         from ahnn.data.doctor import diagnosis
 
+        if self.space.frame.upper().startswith(ROTATING):
+            message = "%s: frame %s rotates, so that mass times velocity is not a momentum"
+            log.warning(message, self.space.name, self.space.frame)
         found = [] if self.unsound else diagnosis(self._contents, self.mass, self.gap)
         heads = {(content.tracks[0].file, content.head) for content in self._contents}
         for one in found:
