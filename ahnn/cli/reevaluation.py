@@ -102,8 +102,8 @@ def run_config(folder: Path, request: Request) -> DictConfig:
     path = folder / "config.yaml"
     if (folder / SAVED).exists() and not path.exists():
         message = (
-            f"run={folder}: expected a run with its data; received a model written by ahnn.save. "
-            "ahnn.predict, ahnn.assimilate and ahnn.export accept it; ahnn.fit trains and evaluates on tensors"
+            f"run={folder}: expected a run with its data; received a model written by ahnn.save, which "
+            "ahnn.predict, ahnn.assimilate and ahnn.export accept. ahnn.fit trains and evaluates on tensors"
         )
         raise UserError(message)
     content = read_plain(path)
