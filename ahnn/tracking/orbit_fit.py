@@ -170,7 +170,7 @@ def orbit_fit(problem: OrbitProblem) -> OrbitFit:
     """
     noise, smooth, free = problem.noise, problem.smooth, problem.unknowns.free
     point, robust, steady, converged = linearised(problem, problem.unknowns.mean.copy()), False, False, False
-    covariance, steps = np.empty((0, 0)), 0
+    covariance, steps, halvings = np.empty((0, 0)), 0, 0
     for steps in range(1, STEPS + 1):
         rows = rows_of(problem, point, noise)
         weights = huber_weights(rows.e) if robust else np.ones_like(rows.e)
@@ -182,7 +182,7 @@ def orbit_fit(problem: OrbitProblem) -> OrbitFit:
         log.info("orbit: step %d, %.3g standard deviations", steps, size)
         if converged := size < FINE and steady:
             break
-        point = lower(problem, point, step, noise, weights, precision)
+        point, halvings = lower(problem, point, step, noise, weights, precision, max(halvings - 1, 0))
         if size < NEAR:
             before, robust = (noise, smooth), problem.robust
             noise, smooth = refined(problem, point, covariance, noise, smooth)
@@ -213,9 +213,15 @@ def scaled_inverse(normal: Array) -> Array:
 
 
 def lower(
-    problem: OrbitProblem, point: LinearisedOrbit, step: Array, noise: Array, weights: Array, precision: Array
-) -> LinearisedOrbit:
-    """Return the point after a step, halved until the cost decreases.
+    problem: OrbitProblem,
+    point: LinearisedOrbit,
+    step: Array,
+    noise: Array,
+    weights: Array,
+    precision: Array,
+    first: int,
+) -> tuple[LinearisedOrbit, int]:
+    """Return the point after a step, halved at least `first` times, until the cost decreases; and how often.
 
     Raises:
         TrainingError: no step decreases the cost.
@@ -227,7 +233,7 @@ def lower(
         return float(weights @ e**2 + off @ precision @ off)
 
     before = cost(point)
-    for halving in range(HALVINGS):
+    for halving in range(first, HALVINGS):
         x = point.x.copy()
         x[free] += step / 2**halving
         try:
@@ -235,7 +241,7 @@ def lower(
         except TrainingError:  # a shorter step may stay above the ground
             continue
         if cost(there) <= before * (1 + 1e-9) + 1e-9:
-            return there
+            return there, halving
     message = (
         "orbit: expected a step that lowers the residuals; received none. Check the coordinates of the "
         "stations, the units and the clock, or give a closer start"
