@@ -2,7 +2,9 @@
 const ahnnFigures = (() => {
   const all = [];
   const config = {responsive: true, displaylogo: false, showSendToCloud: false, plotlyServerURL: "",
-                  modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"]};
+                  modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
+                  // on a phone the bar would cover the labels; drags and pinches work without it
+                  displayModeBar: window.matchMedia("(max-width: 40rem)").matches ? false : "hover"};
   const scheme = window.matchMedia("(prefers-color-scheme: dark)");
   const paint = (figure, dark) => {
     const ink = dark ? "#e6e6e6" : "#1a1a1a", grid = dark ? "#3d3d3d" : "#dedede";

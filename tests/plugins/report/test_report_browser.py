@@ -36,6 +36,7 @@ def test_a_report_is_shown_on_a_desk_and_on_a_phone_and_its_orbit_turns(page, tm
     for width, dark in ((1280, False), (390, False), (1280, True)):
         page.open(path, width, dark=dark)
         assert page.value("document.documentElement.scrollWidth <= innerWidth")
+        assert page.value("document.querySelector('.modebar-btn') !== null") == (width > 640)
         pixels = np.asarray(Image.open(io.BytesIO(page.picture())).convert("L"))
         assert pixels.std() > 10, "a blank page"
         grounds.append(int(np.median(pixels)))
