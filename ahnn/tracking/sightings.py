@@ -33,6 +33,8 @@ from ahnn.types import Space, Trajectories, Units
 log = logging.getLogger(__name__)
 UNITS = Units("s", "km", "km/s", "km²/s²")
 FRAME = Reference("CIRS", "EARTH", "UTC")
+UNKNOWNS = 6
+"""Number of components of the initial state of a segment, which so many measured values spend."""
 
 
 @checked
@@ -81,11 +83,17 @@ class Sightings:
         tracks = [self._track(file, data, reference.epoch or 0) for file, data in found]
         pieces = [piece for track in tracks for piece in cut_to(filled(track, gap), cut)]
         parts = [trimmed(piece, partly=True) for piece in pieces]
-        values, times = stacked([part for part in parts if len(part.times)])[:2]
+        parts = [part for part in parts if len(part.times)]
+        values, times = stacked(parts)[:2]
         self._observations = Observations(continuous(values, periods(self.measurement)), times)
         shown = self.measurement.locate(values, times)
         self._trajectories = Trajectories(pad(shown, (0, 3), value=torch.nan), times)
         log.info("%s: %s", name, self._described())
+        few = sum(int(np.isfinite(part.values).sum()) <= UNKNOWNS for part in parts)
+        if few:
+            message = "%s: %d of %d segments have at most %d measured values, from which nothing is learned%s"
+            remedy = "" if cut is None else ". Set a larger system.cut"
+            log.warning(message, name, few, len(parts), UNKNOWNS, remedy)
 
     def recipe(self) -> dict[str, Any]:
         """Return the hash of the files, and the cut."""

@@ -81,6 +81,18 @@ def test_the_source_has_what_the_stations_saw(place):
     assert source.recipe() != Sightings("m", str(folder / "seen.csv"), str(folder / "stations.yaml")).recipe()
 
 
+def test_segments_that_determine_no_orbit_are_counted(place, caplog):
+    folder, _, _ = place
+    files = str(folder / "seen.csv"), str(folder / "stations.yaml")
+    Sightings("whole", *files)
+    assert "nothing is learned" not in caplog.text
+    values, _ = Sightings("pieces", *files, cut=2).observations()
+    few = int((values.isfinite().sum((1, 2)) <= 6).sum())
+    assert 0 < few < len(values)
+    assert f"pieces: {few} of {len(values)} segments have at most 6 measured values" in caplog.text
+    assert caplog.messages[-1].endswith("Set a larger system.cut")
+
+
 @pytest.mark.parametrize(
     ("seen", "said"),
     [
