@@ -45,7 +45,7 @@ def results_table(results: Results, *, detail: bool = False) -> str:
     head = f"{results.label} on {results.space.name}" + (f": {results.assumes}" if results.assumes else "")
     lines = table_lines(results.rows, results.label)
     parts = [*_wrapped(head), "", *_columns(lines, results), "", *_explanations(results)]
-    verdict = results.numbers.get("verdict", {}).get("findings", [])
+    verdict = results.verdict
     if verdict:
         shown = verdict[:1] if detail else verdict
         parts += ["", *(line for one in shown for line in _wrapped(one, hanging=True))]
