@@ -31,7 +31,9 @@ LOOKS = tuple(
 LINES, BINS = 40, 80
 """Maximum number of findings drawn as lines, and number of bins of the histogram that replaces more lines."""
 NAMED = 8
-"""Maximum number of findings labelled with their row."""
+"""Maximum number of findings labelled with their row, spread over all findings."""
+MANY = 5000
+"""Number of samples above which a curve in a vector figure is an image."""
 LABEL = np.array([60.0, 16.0])
 """Width and height of a label in pixels; a label that would overlap another is left out."""
 
@@ -60,6 +62,9 @@ def picture(content: Content, findings: list[Finding]) -> Figure:
     a separate panel counts them. Velocities from position differences are drawn with the stated ones.
     """
     shown = content.tracks[:CURVES]
+    span = max(float(np.ptp(part.times)) for part in shown)
+    size, unit = style.plotted_time(span, content.units.time)
+    shown = [part._replace(times=part.times / size) for part in shown]
     names = (*content.positions, *content.rates)
     ringed = rings(shown, names, findings)
     at = times_of(shown, [one for one in findings if one not in ringed])
@@ -67,12 +72,12 @@ def picture(content: Content, findings: list[Finding]) -> Figure:
     heights = [3.0] * (2 if content.rates else 1) + [1.0] * bool(counted)
     figure = style.canvas(8, sum(heights) + 0.2)
     panels = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
-    curves(panels, content, shown)
+    curves(panels, content, shown, size)
     for one, (time, value) in ringed.items():
         axes = panels[int(names.index(one.column) >= len(content.positions))]
         axes.plot(time, value, "o", mfc="none", color=style.BLACK, ms=8, zorder=5, label="suspicious value")
     labelled: list[Any] = []
-    for one, place in list(ringed.items())[:NAMED]:
+    for one, place in [*ringed.items()][:: -(-len(ringed) // NAMED) or 1]:
         axes = panels[int(names.index(one.column) >= len(content.positions))]
         axes.autoscale_view()  # otherwise not before the figure is drawn
         pixel = axes.transData.transform(place)
@@ -87,7 +92,7 @@ def picture(content: Content, findings: list[Finding]) -> Figure:
         else:
             for time in times:
                 panels[0].axvline(time, color=style.BLACK, ls=ls, lw=0.8, alpha=0.6, label=level)
-    panels[-1].set_xlabel(f"time [{content.units.time}]")
+    panels[-1].set_xlabel(f"time [{unit}]")
     for axes in panels:
         axes.grid(alpha=0.3)
     few = f", the first {CURVES} of {len(content.tracks)}" if len(content.tracks) > CURVES else ""
@@ -96,19 +101,28 @@ def picture(content: Content, findings: list[Finding]) -> Figure:
     return figure
 
 
-def curves(panels: Any, content: Content, shown: Sequence[Track]) -> None:
-    """Plot positions, and below them velocities or momenta, stated and from position differences."""
+def curves(panels: Any, content: Content, shown: Sequence[Track], size: float) -> None:
+    """Plot positions, and below them velocities or momenta, stated and from position differences.
+
+    Args:
+        panels: axes of the positions, and of the velocities.
+        content: content of the file.
+        shown: tracks with times in the unit of the axis.
+        size: size of this unit.
+    """
     n = len(content.positions)
     for c, name in enumerate((*content.positions, *content.rates)):
         look: dict[str, Any] = {**LOOKS[c % n % len(LOOKS)], "marker": ".", "ms": 3 if c < n else 0}
         for part in shown:
-            panels[int(c >= n)].plot(*style.parted(part.times, part.values[:, c]), **look, label=name)
+            many = len(part.times) > MANY
+            line = style.parted(part.times, part.values[:, c])
+            panels[int(c >= n)].plot(*line, **look, label=name, rasterized=many)
     panels[0].set_ylabel(f"position [{content.units.position}]")
     if not content.rates:
         return
     panels[1].set_ylabel("momentum" if content.momenta else f"velocity [{content.units.velocity}]")
     for part in shown:
-        change = None if content.momenta else slopes(part.times, part.values[:, :n], 1)
+        change = None if content.momenta else slopes(size * part.times, part.values[:, :n], 1)
         if change is not None:
             look = {"color": style.BLACK, "ls": "none", "marker": "+", "ms": 4, "zorder": 4}
             panels[1].plot(part.times[change.at], change.values, **look, label="change in the positions")

@@ -40,8 +40,8 @@ ERRORS = "viridis"
 LOST = 1e30
 """Absolute value from which on a prediction is treated as lost and excluded from axis limits."""
 NAMES = ("position", "velocity")
-LONG = 7200.0
-"""Time span in s above which axes have hours."""
+HOURS, DAYS = 7200.0, 10 * 86400.0
+"""Time spans in s above which axes have hours, and days."""
 FEWEST = 2
 """Number of powers of ten on a logarithmic axis below which twice and five times them are labelled, too."""
 PARTED = 5.0
@@ -78,14 +78,16 @@ def own_times(case: Case) -> Axis:
 
 
 def _readable(time: Tensor, unit: str) -> Axis:
-    """Convert long time spans in seconds to hours."""
+    """Convert long time spans in seconds to hours or days."""
     size, name = plotted_time(float(time.nan_to_num(0.0).max()), unit)
     return Axis(time / size, name)
 
 
 def plotted_time(span: float, unit: str) -> tuple[float, str]:
-    """Return the size of the unit of a time axis and its name: hours for long time spans in seconds."""
-    return (3600.0, "h") if unit == "s" and span > LONG else (1.0, unit)
+    """Return the size of the unit of a time axis and its name: hours or days for long spans in seconds."""
+    if unit != "s" or span <= HOURS:
+        return 1.0, unit
+    return (3600.0, "h") if span <= DAYS else (86400.0, "d")
 
 
 def reference(case: Case) -> str:

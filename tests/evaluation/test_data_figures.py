@@ -38,6 +38,27 @@ def test_an_outlier_has_a_ring_at_its_value_and_its_row_beside_it(tmp_path):
     assert len(figure.axes) == 2
 
 
+def test_a_file_of_many_days_has_days_and_labels_from_its_beginning_to_its_end(tmp_path):
+    t = 600.0 * np.arange(4000)  # 27.8 days
+    x, v = np.sin(t / 1e5), np.cos(t / 1e5) / 1e5
+    outliers = np.arange(20, 4000, 40)
+    x[outliers] += 3.0
+    rows = "".join(f"{a!r},{b!r},{c!r}\n" for a, b, c in zip(t.tolist(), x.tolist(), v.tolist(), strict=True))
+    (tmp_path / "a.csv").write_text(f"t [s],x [m],v [m/s]\n{rows}")
+    found = examine([tmp_path / "a.csv"], FileReading())
+    figure = picture(found.contents[0], found.findings)
+    assert figure.axes[-1].get_xlabel() == "time [d]"
+    times, _ = curve(figure.axes[0])
+    assert times[-1] == pytest.approx(t[-1] / 86400)
+    labels = [text.xy[0] for text in figure.axes[0].texts]
+    assert len(labels) >= 4
+    assert min(labels) < 5 < 22 < max(labels)
+    rings = [line.get_xdata()[0] for line in figure.axes[0].lines if line.get_label() == "suspicious value"]
+    assert rings == pytest.approx(t[outliers] / 86400)
+    (change,) = [line for line in figure.axes[1].lines if "change" in str(line.get_label())]
+    assert np.median(np.abs(change.get_ydata())) < 2e-5  # m/s, as the stated velocities
+
+
 def test_few_gaps_are_lines_and_are_not_bridged(tmp_path):
     present = np.ones(2000, dtype=bool)
     present[800:900] = False
