@@ -16,8 +16,11 @@ from ahnn.measurements.angles import Differing, wrap
 from ahnn.measurements.base import Time, check_state
 from ahnn.measurements.daily_axes import DailyAxes
 
-EARTH_RATE = 7.2921150e-5
-"""Rotation rate of the Earth in rad/s (IERS Conventions 2010, table 1.2, nominal value)."""
+EARTH_RATE = 7.292115146706979e-5
+"""Rate of the Earth rotation angle in rad/s (IERS Conventions 2010, eq. 5.15).
+
+The rounded nominal value, 7.292115e-5, would turn a station by 1 m a day.
+"""
 
 EARTH_RADIUS = 6378.137
 """Equatorial radius of the WGS 84 ellipsoid in km (NIMA TR8350.2)."""
