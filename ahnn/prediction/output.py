@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,8 +20,11 @@ from ahnn.prediction.prediction_table import as_csv, as_parquet, columns, descri
 from ahnn.prediction.propagation import Prediction
 from ahnn.types import Space
 
+log = logging.getLogger(__name__)
 SUFFIXES = (".csv", ".parquet", ".oem", ".xml")
 PICTURES = (".png", ".svg")
+UNSAFE = re.compile(r"[^A-Za-z0-9_.-]+")
+"""Characters of an identifier that are replaced in the name of a file."""
 
 
 def require_output(path: Path, starts: Starts, space: Space) -> None:
@@ -32,12 +37,36 @@ def require_output(path: Path, starts: Starts, space: Space) -> None:
     if path.suffix.lower() not in SUFFIXES or not path.parent.is_dir() or path.is_dir():
         message = f"output: expected {_file_of(SUFFIXES)}; received {path}"
         raise UserError(message)
-    require_own([path], "output")
     if path.suffix.lower() in MESSAGES:
+        require_own(messages(path, starts), "output")
         nothing = Prediction(starts.times[:1], starts.states.unsqueeze(1))
         ephemerides(nothing, starts, space)
     else:
+        require_own([path], "output")
         sidecar.require_place(path)
+
+
+def messages(path: Path, starts: Starts) -> dict[Path, list[int]]:
+    """Return the files of ephemeris messages with the trajectories of each: a message has one object.
+
+    Those of several objects have the identifier in their name (CCSDS 502.0-B, 5.1: a single object).
+
+    Raises:
+        UserError: two identifiers give the same file.
+    """
+    objects: dict[str, list[int]] = {}
+    for b, one in enumerate(starts.objects):
+        objects.setdefault(one.id, []).append(b)
+    if len(objects) == 1:
+        return {path: [*range(len(starts.objects))]}
+    found: dict[Path, list[int]] = {}
+    for name, rows in objects.items():
+        place = path.with_name(f"{path.stem}_{UNSAFE.sub('_', name)}{path.suffix}")
+        if place in found:
+            message = f"output: expected objects whose files differ; received two for {place}. Write a table"
+            raise UserError(message)
+        found[place] = rows
+    return found
 
 
 def _file_of(suffixes: tuple[str, ...]) -> str:
@@ -76,7 +105,11 @@ def write(
     """
     suffix = path.suffix.lower()
     if suffix in MESSAGES:
-        write_oem(path, ephemerides(prediction, starts, space), comments=remarks)
+        segments, places = ephemerides(prediction, starts, space), messages(path, starts)
+        for place, rows in places.items():
+            write_oem(place, [segments[b] for b in rows], comments=remarks)
+        if len(places) > 1:
+            log.info("output: %d messages, one for each object, such as %s", len(places), next(iter(places)))
         return
     found = columns(prediction, starts, space, correlated=correlated)
     write_atomically(path, as_csv(found) if suffix == ".csv" else as_parquet(found))

@@ -77,19 +77,28 @@ def test_identifier_and_name_of_an_object_pass_from_file_to_file():
             assert (found.object_id, found.object_name) == (ident, name)
 
 
-def test_an_object_without_a_name_is_unknown_in_messages_and_several_are_numbered():
+def test_an_object_without_a_name_is_unknown_and_each_of_several_has_a_message():
     dated = [MOLNIYA, "epoch=2024-03-01T12:00:00", "frame=[EME2000,EARTH,UTC]", *SHORT, "output=ahead.oem"]
     assert call("ahnn.predict", *[word.replace(",UTC", ",MOONTIME") for word in dated]) == 2
     assert not Path("ahead.oem").exists()
     one, two = STATE.tolist(), [STATE.tolist()] * 2
-    for start, names in ((one, ["UNKNOWN"]), (two, ["1", "2"])):
-        assert call("ahnn.predict", *dated, f"start={start}") == 0
-        assert [(found.object_id, found.object_name) for found in read_oem("ahead.oem")] == [
-            (name, name) for name in names
-        ]
+    assert call("ahnn.predict", *dated, f"start={one}") == 0
+    (found,) = read_oem("ahead.oem")
+    assert (found.object_id, found.object_name) == ("UNKNOWN", "UNKNOWN")
+    Path("ahead_2.oem").write_text("mine")
+    assert call("ahnn.predict", *dated, f"start={two}") == 2
+    assert Path("ahead_2.oem").read_text() == "mine"
+    assert not Path("ahead_1.oem").exists()
+    Path("ahead_2.oem").unlink()
+    assert call("ahnn.predict", *dated, f"start={two}") == 0
+    assert [(one.object_id, one.object_name) for one in read_oem("ahead_2.oem")] == [("2", "2")]
+    read = pytest.importorskip("oem", reason="another reader of messages").OrbitEphemerisMessage
+    assert [segment.metadata["OBJECT_ID"] for segment in read.open("ahead_1.oem").segments] == ["1"]
 
 
-@pytest.mark.parametrize(("span", "unit", "last"), [(7200.0, "s", 7200.0), (86400.0, "h", 24.0)])
+@pytest.mark.parametrize(
+    ("span", "unit", "last"), [(7200.0, "s", 7200.0), (86400.0, "h", 24.0), (1728e3, "d", 20.0)]
+)
 def test_the_time_axis_of_a_prediction_has_hours_for_long_spans_as_that_of_a_stream(span, unit, last):
     times = torch.linspace(0, span, 5, dtype=torch.float64)
     prediction = Prediction(times, torch.zeros(1, 5, 6, dtype=torch.float64))
