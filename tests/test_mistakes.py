@@ -230,40 +230,6 @@ def test_no_experiment_and_no_recipe_of_a_system_are_no_mistake(tmp_path):
         )
 
 
-@pytest.mark.usefixtures("no_evaluation")
-def test_ctrl_c_says_how_to_go_on_and_a_run_is_not_replaced(tmp_path, capfd):
-    run = [*SMALL, "budget=smoke", "recipe=first_order", f"run={tmp_path}"]
-    cut = ["+callbacks.cut._target_=entry.CutAfter", "+callbacks.cut.ctrl_c=true"]
-    assert call("ahnn.train", *run, *cut, "+callbacks.cut.steps=5") == 130
-    err = capfd.readouterr().err
-    assert "no checkpoint yet: repeating the command starts from the beginning" in err
-    assert call("ahnn.train", *run, *cut, "+callbacks.cut.steps=15") == 130
-    err = capfd.readouterr().err
-    assert f"ahnn: stopped by Ctrl-C; resume with the same command and run={tmp_path} ckpt=last\n" in err
-    assert "Traceback" not in err
-    assert "Error" not in err
-
-    before = {path: path.read_bytes() for path in (tmp_path / "checkpoints").iterdir()}
-    assert call("ahnn.train", *run) == 2
-    err = capfd.readouterr().err
-    assert "best.ckpt, last.ckpt. Resume with ckpt=last, or choose another run=" in err
-    assert {path: path.read_bytes() for path in (tmp_path / "checkpoints").iterdir()} == before
-    assert call("ahnn.train", *run, "ckpt=last") == 0
-
-
-@pytest.mark.usefixtures("no_evaluation")
-def test_of_several_seeds_one_that_is_trained_stops_all_before_the_first(tmp_path, capfd):
-    run = [*SMALL, "budget=smoke", "recipe=first_order", "trainer.max_epochs=1", f"run={tmp_path}"]
-    assert call("ahnn.train", *run, "seeds=[201]") == 0
-    assert call("ahnn.train", *run, "seeds=[7,201]") == 2
-    assert f"run {tmp_path / 'seed_201'}: expected a folder without checkpoints" in capfd.readouterr().err
-    assert not (tmp_path / "seed_7").exists()
-    cut = ["+callbacks.cut._target_=entry.CutAfter", "+callbacks.cut.ctrl_c=true", "+callbacks.cut.steps=20"]
-    more = ["trainer.max_epochs=3", *cut]
-    assert call("ahnn.train", *run, *more, "seeds=[7,719]") == 130
-    assert f"run={tmp_path / 'seed_7'} seed=7 seeds=null ckpt=last" in capfd.readouterr().err
-
-
 def test_a_sweep_checks_all_values_of_settings_before_its_first_job(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     assert call("ahnn.train", "-m", "seed=1,a", "budget=smoke", f"hydra.sweep.dir={tmp_path / 'sweep'}") == 2

@@ -166,6 +166,11 @@ def report_options(cfg: DictConfig) -> dict[str, Any]:
     return {"predictions": asked.save_predictions, "figures": asked.figures, "detail": detail}
 
 
+def is_one_of_several(cfg: DictConfig) -> bool:
+    """Return whether a training is one of several of a command: of a sweep, or of several seeds."""
+    return is_multirun() or (HydraConfig.initialized() and cfg.folder != HydraConfig.get().runtime.output_dir)
+
+
 def is_multirun() -> bool:
     """Return whether this job is one of several."""
     return HydraConfig.initialized() and HydraConfig.get().mode is RunMode.MULTIRUN

@@ -21,6 +21,7 @@ from ahnn.cli.parts import (
     build_sensor,
     build_source,
     is_multirun,
+    is_one_of_several,
     report_options,
 )
 from ahnn.cli.unused_keys import asked_for, require_read
@@ -89,10 +90,14 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
 
 
 def checkpoint_of(cfg: DictConfig) -> Path | None:
-    """Return the checkpoint to resume from: `last` or `best` of the run folder, a file, or None."""
-    if cfg.ckpt in ("last", "best"):
-        return Path(cfg.folder, "checkpoints", f"{cfg.ckpt}.ckpt")
-    return None if cfg.ckpt is None else Path(cfg.ckpt)
+    """Return the checkpoint to resume from: `last` or `best` of the run folder, a file, or None.
+
+    A training that is one of several begins where it has no checkpoint yet.
+    """
+    if cfg.ckpt not in ("last", "best"):
+        return None if cfg.ckpt is None else Path(cfg.ckpt)
+    found = Path(cfg.folder, "checkpoints", f"{cfg.ckpt}.ckpt")
+    return found if found.exists() or not is_one_of_several(cfg) else None
 
 
 def require_one(cfg: DictConfig) -> None:

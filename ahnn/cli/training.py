@@ -12,7 +12,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from ahnn.cli.build import of_seed
-from ahnn.cli.early_stops import held, interruptible
+from ahnn.cli.early_stops import ended, held, interruptible
 from ahnn.cli.preflight import begin, require_new
 from ahnn.files import claimed, require_writable
 
@@ -35,8 +35,11 @@ def train(cfg: DictConfig) -> float:
     parts = [of_seed(cfg, seed) for seed in cfg.seeds] if cfg.seeds else [cfg]
     for part in parts:
         require_new(Path(part.folder), part.ckpt)
-    losses = [train_once(part) for part in parts]
-    from ahnn.cli.parts import is_multirun
+    with held():
+        from ahnn.cli.parts import is_multirun, is_one_of_several
+
+    with ended(lambda: go_on(parts[0])) if is_one_of_several(parts[0]) else nullcontext():
+        losses = [train_once(part) for part in parts]
     from ahnn.jobs.closing import require_converged  # imported late, like the training code
 
     if not is_multirun():  # in a sweep the table shows each job, and a search uses the losses
@@ -104,15 +107,16 @@ def train_once(
 
 
 def go_on(cfg: DictConfig) -> str:
-    """Return the command that resumes a stopped run."""
-    from ahnn.cli.parts import is_multirun
+    """Return the command that resumes a stopped run, or several: those that had not begun begin."""
+    from ahnn.cli.parts import is_multirun, is_one_of_several
 
     if cfg.get("trial") is not None:
         return "repeat the command to continue the search"
+    if is_one_of_several(cfg):
+        own = HydraConfig.get()
+        folder = own.sweep.dir if is_multirun() else own.runtime.output_dir
+        return f"resume with the same command and run={folder} ckpt=last"
     if not (Path(cfg.folder) / "checkpoints" / "last.ckpt").exists():
         return "there is no checkpoint yet: repeating the command starts from the beginning"
-    one_of_several = HydraConfig.initialized() and cfg.folder != HydraConfig.get().runtime.output_dir
-    seed = f" seed={cfg.seed} seeds=null" if one_of_several else ""
-    seed += "" if cfg.weights is None else " weights=null"
-    command = "keys of this job" if is_multirun() else "command"
-    return f"resume with the same {command} and run={cfg.folder}{seed} ckpt=last"
+    weights = "" if cfg.weights is None else " weights=null"
+    return f"resume with the same command and run={cfg.folder}{weights} ckpt=last"

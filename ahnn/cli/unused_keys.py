@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from ahnn.cli.parts import is_multirun
+from ahnn.cli.parts import is_multirun, is_one_of_several
 from ahnn.cli.unreferenced_keys import keys_of, without_effect
 from ahnn.data import Simulated, Source
 from ahnn.data.recorded_sensor import Recorded
@@ -102,7 +102,7 @@ def unread_of_training(cfg: DictConfig, prepared: Prepared, *, several: bool) ->
     yield from unless(
         (
             "weights",
-            cfg.ckpt is None or cfg.weights is None,
+            cfg.ckpt is None or cfg.weights is None or is_one_of_several(cfg),
             "ckpt resumes a run from its own weights",
         ),
         ("seed", not several, "seeds= replaces it"),

@@ -10,6 +10,7 @@ from ahnn.data.files import instant
 from ahnn.data.files.epochs import SECOND
 from ahnn.data.reference import Reference
 from ahnn.errors import UserError
+from ahnn.measurements.ground_station import EARTH_RATE
 
 NOON = instant("2024-03-01T12:00:00", utc=True)
 TEXT = "EME2000, EARTH, UTC, from 2024-03-01T12:00:00.000"
@@ -24,6 +25,14 @@ def test_the_earth_turns_as_mean_sidereal_time_less_precession():
     epoch = instant("1987-04-10T00:00:00", utc=True)
     angle = Reference(clock="UTC", epoch=epoch).earth_angle()
     assert angle == pytest.approx(sidereal - precession, abs=2e-6)
+
+
+def test_the_earth_turns_by_its_rotation_angle():
+    """20 days later, a station is where a reference of that moment places it: to 0.1 mm."""
+    first, second = (instant(f"2024-03-{day:02}T06:00:00", utc=True) for day in (1, 21))
+    angles = [Reference(clock="UTC", epoch=epoch).earth_angle() for epoch in (first, second)]
+    turned = angles[0] + EARTH_RATE * 20 * 86400.0
+    assert math.remainder(turned - angles[1], math.tau) == pytest.approx(0.0, abs=1e-4 / 6378137)
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,6 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ahnn.data.files.epochs import instant
-from ahnn.data.reference import Reference
 from ahnn.measurements import GnssRange, GroundStation, Position, Several, State, observe, wrap
 from ahnn.measurements.ground_station import EARTH_RATE
 
@@ -25,14 +23,6 @@ def site(latitude, longitude, height, t, angle=0.0, flattening=1.0 / 298.2572235
     foot = 6378.137 * np.array([math.cos(parametric), (1.0 - flattening) * math.sin(parametric)])
     rho, z = foot + height * np.array([math.cos(phi), math.sin(phi)])
     return np.array([rho * math.cos(lam), rho * math.sin(lam), z])
-
-
-def test_the_earth_turns_by_its_rotation_angle():
-    """20 days later, a station is where a reference of that moment places it: to 0.1 mm."""
-    first, second = (instant(f"2024-03-{day:02}T06:00:00", utc=True) for day in (1, 21))
-    angles = [Reference(clock="UTC", epoch=epoch).earth_angle() for epoch in (first, second)]
-    turned = angles[0] + EARTH_RATE * 20 * 86400.0
-    assert math.remainder(turned - angles[1], math.tau) == pytest.approx(0.0, abs=1e-4 / 6378137)
 
 
 def neighbour(latitude, longitude, north=0.0, east=0.0, up=0.0, t=0.0, **options):
