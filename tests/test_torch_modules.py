@@ -180,6 +180,7 @@ WRONG = {
     "list": (lambda: ahnn.NeuralODE(1)([[1.0, 2.0]], 0.1), "a tensor with 2 components .* received list"),
     "states": (lambda: ahnn.NeuralODE(1)(START, 0.1), r"with 2 components .* received Tensor \(3, 4\)"),
     "steps": (lambda: ahnn.NeuralODE(2)(START.float(), torch.ones(2)), r"dt: .* each state; .*\(2,\)"),
+    "steps of one": (lambda: ahnn.NeuralODE(2)(START[:1].float(), torch.ones(4)), r"dt: .* state; .*\(4,\)"),
     "column of steps": (lambda: ahnn.NeuralODE(2)(START.float(), torch.ones(3, 1)), "dt: expected a number"),
     "data": (lambda: ahnn.NeuralODE(2, data=START), "trajectories: expected ahnn.Trajectories"),
     "other data": (lambda: ahnn.NeuralODE(2, data=oscillators()), "data: expected states .* of 4|received"),
@@ -208,6 +209,7 @@ PATHS = {
     "three axes": (START[None], 3, 0.1),
     "list": (START.tolist(), 3, 0.1),
     "swapped": (START, 0.1, 3),
+    "negative": (START, -1, 0.1),
     "lengths of members": (START, 3, torch.full((3,), 0.1)),
     "lengths of a column": (START, 3, torch.full((3, 1), 0.1)),
 }

@@ -79,7 +79,7 @@ class Dynamics(nn.Module, ABC):
             raise UserError(message)
         if isinstance(dt, Tensor) and dt.ndim:
             fits = dt.ndim == x.ndim - 1
-            if not fits or any(a != b and 1 not in (a, b) for a, b in zip(dt.shape, x.shape, strict=False)):
+            if not fits or any(a not in (1, b) for a, b in zip(dt.shape, x.shape, strict=False)):
                 received = f"{described(dt)} for {described(x)}"
                 message = f"dt: expected a number, or one for each state; received {received}"
                 raise UserError(message)
@@ -96,13 +96,13 @@ class Dynamics(nn.Module, ABC):
             dt: step length, or (B, steps) step lengths.
 
         Raises:
-            UserError: `start` or `dt` has a wrong shape, or `steps` is not an integer.
+            UserError: `start` or `dt` has a wrong shape, or `steps` is not an integer >= 0.
         """
         shapes = ((), (len(start), steps)) if isinstance(start, Tensor) and start.ndim == 2 else ()
-        if not isinstance(steps, int) or getattr(dt, "shape", ()) not in shapes:
+        if not isinstance(steps, int) or steps < 0 or getattr(dt, "shape", ()) not in shapes:
             message = (
-                "rollout: expected states (B, D), a number of steps, and their length or lengths (B, steps); "
-                f"received {described(start)}, {steps!r} and {described(dt)}"
+                "rollout: expected states (B, D), a number of steps >= 0, and their length or (B, steps) "
+                f"lengths; received {described(start)}, {steps!r} and {described(dt)}"
             )
             raise UserError(message)
         return rollout(self, start, dt, steps + 1, gradients=torch.is_grad_enabled())
