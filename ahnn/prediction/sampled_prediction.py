@@ -40,7 +40,7 @@ def path_samples(
     steps = steps_between(times.unsqueeze(0), longest)
     lengths, ends = steps.lengths[0], {int(end): k for k, end in enumerate(steps.ends)}
     along = None if clock is None else clock.along(lengths, steps.ends)
-    draws = drawn(start, count, seed=0, own=known.start, common=None, spread=known.spread)
+    draws = drawn(start, count, seed=0, own=known.start, common=None, spread=known.spread, matched=True)
     found = start.new_empty(len(start), len(times), count, start.shape[1], dtype=torch.float64)
     paths = enumerate(sampled_paths(dynamics, draws, lengths, known.domain, along))
     for step, x in track(paths, description, len(lengths) + 1) if description else paths:

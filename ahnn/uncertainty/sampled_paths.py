@@ -20,6 +20,10 @@ Step = Callable[[Tensor, Tensor, Clock | None], Tensor]
 """(states (S, B, D), lengths (B,), clock) -> states after the step."""
 
 
+ENOUGH = 8
+"""Minimum number of draws, half of them independent, for each cause whose sample covariance is matched."""
+
+
 class Draws(NamedTuple):
     """Random starts, and random displacements of the parameters.
 
@@ -33,7 +37,14 @@ class Draws(NamedTuple):
 
 
 def drawn(
-    start: Tensor, count: int, seed: int, *, own: Tensor | None, common: Tensor | None, spread: Tensor | None
+    start: Tensor,
+    count: int,
+    seed: int,
+    *,
+    own: Tensor | None,
+    common: Tensor | None,
+    spread: Tensor | None,
+    matched: bool = False,
 ) -> Draws:
     """Draw starts and parameters in pairs of opposite sign, so that linear effects cancel in the mean.
 
@@ -44,6 +55,9 @@ def drawn(
         own: columns (B, D, R) or (D, R) of independent causes for each start, of unit variance; None without.
         common: columns (B, D, Q) of the causes of the parameters, if the starts depend on these, too.
         spread: factor (P, Q) of the covariance of the parameters; None for exact parameters.
+        matched: whether the own causes of each start have exactly unit sample covariance, if there are enough
+            draws: second-order exact sampling (Pham 2001, Mon. Weather Rev. 129, 1194). The linear part of a
+            covariance then has no sampling error, which for few starts would not average out.
     """
     generator = torch.Generator().manual_seed(seed)
 
@@ -59,8 +73,17 @@ def drawn(
             starts = starts + torch.einsum("bdq,sq->sbd", common.double(), causes)
     if own is not None:
         columns = own.double().expand(len(start), *own.shape[-2:])
-        starts = starts + torch.einsum("bdr,sbr->sbd", columns, normal(len(start), columns.shape[-1]))
+        causes = normal(len(start), columns.shape[-1])
+        if matched and count >= ENOUGH * columns.shape[-1]:
+            causes = with_unit_covariance(causes)
+        starts = starts + torch.einsum("bdr,sbr->sbd", columns, causes)
     return Draws(starts, moves)
+
+
+def with_unit_covariance(causes: Tensor) -> Tensor:
+    """Return causes (S, B, R) of zero mean, transformed to unit sample covariance for each start."""
+    factor = torch.linalg.cholesky(torch.einsum("sbr,sbq->brq", causes, causes) / (len(causes) - 1))
+    return torch.linalg.solve_triangular(factor, causes.permute(1, 2, 0), upper=False).permute(2, 0, 1)
 
 
 @torch.no_grad()

@@ -24,6 +24,17 @@ def column(found, name):
     return torch.tensor([float(row[name]) for row in found], dtype=torch.float64)
 
 
+def test_sampled_starts_have_exactly_the_given_covariance_and_linear_motion_keeps_it():
+    """Errors of 1 m and 1 mm/s remain in the linear range for an hour; with 20 draws they are random."""
+    run, sd, times = ahnn.load("molniya_mechanical"), [1e-3, 1e-6], 600.0 * torch.arange(7.0)
+    linear = run.predict(STATE, times, start_sd=sd)
+    many = run.predict(STATE, times, start_sd=sd, samples=200)
+    close(many.covariances[0, 0], linear.covariances[0, 0], 1e-9)
+    close(many.deviations[0], linear.deviations[0], 1e-4)
+    few = run.predict(STATE, times, start_sd=sd, samples=20)
+    assert float((few.deviations / linear.deviations - 1).abs().max()) > 0.02
+
+
 def test_sampled_paths_are_written_in_place_of_first_order_bands(tmp_path, monkeypatch, caplog):
     """Their moments are those of the library, also in another frame, and no linear range is left."""
     monkeypatch.chdir(tmp_path)
