@@ -61,6 +61,7 @@ class Session(StreamSession):
         fitted: number of the last line to which the start was fitted; lines up to it are skipped.
         undated: whether the time of the start is assumed, since none is stated.
         since: time of the filter when this command began; lines before it may have been sent again.
+        rejected: number of lines rejected since the last accepted one.
     """
 
     filter: Assimilation
@@ -68,6 +69,7 @@ class Session(StreamSession):
     fitted: int = 0
     undated: bool = False
     since: float = -math.inf
+    rejected: int = 0
 
     @cached_property
     def skipped(self) -> SkippedLines:
@@ -171,6 +173,7 @@ class Session(StreamSession):
         if estimate.outcome in GATED:
             self.gated[reading.sensor] += 1
             self.refused[reading.sensor] += estimate.outcome == "rejected"
+            self.rejected = self.rejected + 1 if estimate.outcome == "rejected" else 0
         if estimate.outcome == "taken" and estimate.innovation is not None:
             self.nis += float(estimate.innovation.nis)
             self.numbers += int(estimate.innovation.measured)
@@ -187,8 +190,10 @@ class Session(StreamSession):
             name = reading.sensor or next(iter(self.filter.sensors))
             own = self.filter.sensors[name].columns, reading.values, estimate.innovation.residual
             self.ratios.add(name, *own)
-            values = number, label, float(estimate.innovation.nis), int(estimate.innovation.measured)
-            log.info("line %d: %s rejected, NIS %.3g for %d values", *values)
+            if self.rejected <= SAID:
+                values = number, label, float(estimate.innovation.nis), int(estimate.innovation.measured)
+                rest = "; further consecutive ones are counted" if self.rejected == SAID else ""
+                log.info("line %d: %s rejected, NIS %.3g for %d values%s", *values, rest)
         elif estimate.outcome == "reopened":
             words = "reopened the gate after consecutive rejections; the covariance was enlarged"
             self.ratios.close(reading.sensor or next(iter(self.filter.sensors)))
