@@ -161,3 +161,21 @@ def test_a_fast_motion_with_few_samples_is_no_outlier():
         noise = np.radians(0.01) * np.random.default_rng(seed).standard_normal(14)
         (found,) = survey(data(times, np.mod(values + noise, 2 * np.pi), "azimuth"))
         assert found.outliers.tolist() == []
+
+
+def test_azimuths_near_the_zenith_are_no_outliers_and_one_of_the_other_side_is():
+    """A pass whose azimuth turns by 118 degrees within a minute at an elevation of 80 degrees."""
+    times = 60.0 * np.arange(16)
+    east, north, up = 7.0 * (times - 440), 0.15 * (times - 200) + 80, 700 - 2e-4 * (times - 440) ** 2
+    azimuth, elevation = np.arctan2(east, north), np.arctan2(up, np.hypot(east, north))
+    assert np.diff(azimuth).max() > np.radians(115)
+    for seed in range(4):
+        noise = np.radians(0.01) * np.random.default_rng(seed).standard_normal((2, 16))
+        pairs = np.stack((azimuth, elevation)) + noise
+        pairs[0, 3] += np.pi * (seed > 1)
+        readings = [
+            TrackingReading(round(1e12 * t), "S", {"azimuth": a % (2 * np.pi), "elevation": e}, k)
+            for k, (t, a, e) in enumerate(zip(times, *pairs, strict=True))
+        ]
+        found = {one.kind: one.outliers.tolist() for one in survey(gathered("A", readings, "receive"))}
+        assert found == {"azimuth": [3] if seed > 1 else [], "elevation": []}
