@@ -97,7 +97,7 @@ MISTAKES = {
     ),
     "oem of nobody knows where": (
         [*NUMBERS, PLAIN, "oem=o.oem", FROM_NOON],
-        "oem: expected frame=, center= for",
+        "received none. Add, for example, frame=EME2000 center=EARTH\n",
     ),
 }
 

@@ -97,12 +97,12 @@ def require_orbit(space: Space, reference: Reference) -> None:
         )
         raise UserError(message)
     require_velocities(space, "oem")
-    keys = zip(("frame", "center", "time_system", "epoch"), reference, strict=True)
-    if missing := [f"{key}=" for key, value in keys if value in ("", None)]:
+    example = ("frame=EME2000", "center=EARTH", "time_system=UTC", "epoch=2024-03-01T12:00:00")
+    if missing := [word for word, value in zip(example, reference, strict=True) if value in ("", None)]:
+        keys = ", ".join(word.partition("=")[0] + "=" for word in missing)
         message = (
-            f"oem: expected {', '.join(missing)} for the estimates, which neither the model nor the start "
-            "states; received none. Add, for example, frame=EME2000 center=EARTH time_system=UTC "
-            "epoch=2024-03-01T12:00:00"
+            f"oem: expected {keys} for the estimates, which neither the model nor the start states; received "
+            f"none. Add, for example, {' '.join(missing)}"
         )
         raise UserError(message)
 
