@@ -67,6 +67,9 @@ def test_even_coordinates_leave_weights_as_they_are_and_a_second_fit_changes_not
     assert all(torch.equal(a, b) for a, b in zip(even.parameters(), fresh.parameters(), strict=True))
     assert units_of(even.parameters()) is None
     once, twice = fitted("cartesian", RATIO), fitted("cartesian", RATIO, 2)
+    assert (
+        float(units_of(once.parameters()).max()) == 1.0
+    )  # heavy coordinates are not moved more by light ones
     for a, b in zip(once.parameters(), twice.parameters(), strict=True):
         close(a, b, 1e-14)
 

@@ -8,7 +8,15 @@ import pytest
 import scipy.stats
 import torch
 
-from ahnn.estimation.consistency import GAUSSIAN, band, coverage, independent_count, nees, share_within
+from ahnn.estimation.consistency import (
+    GAUSSIAN,
+    band,
+    correlation_time,
+    coverage,
+    independent_count,
+    nees,
+    share_within,
+)
 from ahnn.estimation.consistency_bands import Judged, nis_at_times
 from ahnn.numbers import chi_square_quantile
 
@@ -55,6 +63,11 @@ def test_independent_count_of_a_known_autocorrelation(phi):
     count = independent_count(correlated(members, steps, phi, seed=1))
     exact = members * steps * (1.0 - phi**2) / (1.0 + phi**2)
     assert count == pytest.approx(exact, rel=0.15)
+
+
+def test_single_times_and_missing_values_have_no_correlation_time():
+    for values in (torch.tensor([[1.0], [2.0]], dtype=F64), torch.full((2, 5), torch.nan, dtype=F64)):
+        assert correlation_time(values) is None
 
 
 def test_missing_values_count_nothing():

@@ -69,6 +69,8 @@ def test_normal_noise_is_not_told_apart_from_itself():
     assert sum(math.isfinite(one.freedom) for one in found) <= 1
     assert sum(one.low > 6 for one in found) >= 34
     assert all(one.scale == pytest.approx(1, rel=0.2) for one in found)
+    normal = [one for one in found if math.isinf(one.freedom)]
+    assert all(one.scale_sd == pytest.approx(one.scale / 800**0.5) for one in normal)
 
 
 @pytest.mark.parametrize("freedom", [3.0, 5.0, math.inf])

@@ -54,6 +54,10 @@ def test_version_1_has_no_number_within_the_day():
     assert cpf(text).tracks[0].name == "lageos2"
 
 
+def test_the_flags_after_the_frame_may_be_missing():
+    assert cpf(CPF.replace("900 1 1  0 0 0 1", "900 1 1  0 0", 1)).tracks[0].name == "orekitSat"
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
