@@ -42,7 +42,8 @@ def save(
     check_space(space)
     target, known = Path(folder), dynamics.frozen().cpu()
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        message = f"folder: expected a new folder; received {target}, which contains files"
+        kind = "which contains files" if target.is_dir() else "a file"
+        message = f"folder: expected a new folder; received {target}, {kind}"
         raise UserError(message)
     about = {"format": FORMAT, "dynamics": known.spec, "space": about_space(space), "dt": float(dt)}
     made(Weights(known.state_dict(), about), target)
