@@ -29,7 +29,10 @@ LOOKS = tuple(
 )
 """Line styles of the components."""
 LINES, BINS = 40, 80
-"""Maximum number of findings drawn as lines, and number of bins of the histogram that replaces more lines."""
+"""Maximum number of findings drawn as lines, and number of bins of the histogram that replaces more lines.
+
+More rings than that are small and have no labels.
+"""
 NAMED = 8
 """Maximum number of findings labelled with their row, spread over all findings."""
 MANY = 5000
@@ -75,15 +78,19 @@ def picture(content: Content, findings: list[Finding]) -> Figure:
     curves(panels, content, shown, size)
     for one, (time, value) in ringed.items():
         axes = panels[int(names.index(one.column) >= len(content.positions))]
-        axes.plot(time, value, "o", mfc="none", color=style.BLACK, ms=8, zorder=5, label="suspicious value")
+        look = {"ms": 8 if len(ringed) <= LINES else 4, "mfc": "none", "color": style.BLACK, "zorder": 5}
+        axes.plot(time, value, "o", **look, label="suspicious value")
     labelled: list[Any] = []
-    for one, place in [*ringed.items()][:: -(-len(ringed) // NAMED) or 1]:
+    named = [*ringed.items()][:: -(-len(ringed) // NAMED) or 1] if len(ringed) <= LINES else []
+    for one, place in named:
         axes = panels[int(names.index(one.column) >= len(content.positions))]
         axes.autoscale_view()  # otherwise not before the figure is drawn
         pixel = axes.transData.transform(place)
         if all((abs(pixel - other) > LABEL).any() for other in labelled):
             labelled.append(pixel)
-            axes.annotate(f"row {one.row}", place, xytext=(6, 6), textcoords="offset points", fontsize=8)
+            box = {"fc": "white", "ec": "none", "alpha": 0.8, "pad": 1.0}
+            look = {"xytext": (6, 6), "textcoords": "offset points", "fontsize": 8, "zorder": 6}
+            axes.annotate(f"row {one.row}", place, **look, bbox=box)
     for level, ls in (("fault", "-"), ("warning", ":")):
         times = at[level]
         if level in counted:

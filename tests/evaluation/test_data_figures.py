@@ -41,7 +41,7 @@ def test_an_outlier_has_a_ring_at_its_value_and_its_row_beside_it(tmp_path):
 def test_a_file_of_many_days_has_days_and_labels_from_its_beginning_to_its_end(tmp_path):
     t = 600.0 * np.arange(4000)  # 27.8 days
     x, v = np.sin(t / 1e5), np.cos(t / 1e5) / 1e5
-    outliers = np.arange(20, 4000, 40)
+    outliers = np.arange(20, 4000, 130)
     x[outliers] += 3.0
     rows = "".join(f"{a!r},{b!r},{c!r}\n" for a, b, c in zip(t.tolist(), x.tolist(), v.tolist(), strict=True))
     (tmp_path / "a.csv").write_text(f"t [s],x [m],v [m/s]\n{rows}")
