@@ -250,3 +250,28 @@ def test_steps_may_be_shorter_than_the_sampling_interval(tmp_path):
     folder = tmp_path / "run"
     assert call("ahnn.train", *SMALL, f"system.path={data}", *given, f"run={folder}") == 0
     assert ahnn.load(folder).dt == pytest.approx(0.0125)
+
+
+def test_general_momenta_are_said_to_be_such_and_velocities_are_no_momenta_of_a_mass_matrix(tmp_path, capfd):
+    data = swings(tmp_path / "swings.csv", 4)
+    wanted = [
+        *SMALL,
+        "model=ahnn",
+        "hamiltonian=mass_matrix",
+        "trainer.max_epochs=1",
+        "model.network.width=4",
+    ]
+    assert call("ahnn.train", *wanted, f"system.path={data}", f"run={tmp_path / 'refused'}") == 2
+    assert "expected momenta p = M(q) v in the files" in capfd.readouterr().err
+    general = tmp_path / "general.csv"
+    general.write_text(data.read_text().replace("v [m/s]", "p [kg m/s]"))
+    assert call("ahnn.train", *wanted, f"system.path={general}", f"run={tmp_path / 'refused'}") == 2
+    assert "or system.mass=canonical if they are not mass times velocity" in capfd.readouterr().err
+    canonical = ["system.mass=canonical", f"run={tmp_path / 'run'}"]
+    assert call("ahnn.train", *wanted, f"system.path={data}", *canonical) == 2
+    assert "expected a number without momenta" in capfd.readouterr().err
+    assert call("ahnn.train", *wanted, f"system.path={general}", *canonical) == 0
+    told = capfd.readouterr()
+    assert "momentum [kg m/s]" in " ".join(told.out.split())
+    assert "over the mass" not in told.err
+    assert not ahnn.load(tmp_path / "run").space.mechanical

@@ -10,6 +10,7 @@ import torch
 
 from ahnn.arguments import Count, Seed, Within, checked
 from ahnn.data import store
+from ahnn.data.files.content import CANONICAL
 from ahnn.data.files.recordings import Recordings
 from ahnn.data.generate import generate, generated
 from ahnn.data.in_memory import content_of
@@ -126,7 +127,8 @@ class Given(Recordings):
         unsound: bool = False,
     ) -> None:
         content = content_of(trajectories, space)
-        super().__init__(space, [content], space.inertia, cut=cut, gap=gap, unsound=unsound)
+        mass = space.inertia if space.mechanical else CANONICAL
+        super().__init__(space, [content], mass, cut=cut, gap=gap, unsound=unsound)
 
     def recipe(self) -> dict[str, Any]:
         """Return the hash of the content."""

@@ -58,6 +58,7 @@ def evaluate(case: Case, plugins: Mapping[str, EvaluationPlugin], *, figures: bo
     if case.caveat in sentences:
         findings.tell(case.caveat)
     findings.numbers["verdict"] = {"findings": sentences}
+    findings.numbers["unseen"] = {"trajectories": len(case.test.states)}
     return findings
 
 

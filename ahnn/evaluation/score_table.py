@@ -16,6 +16,8 @@ from ahnn.numbers import in_percent
 
 NUMBER = 9
 """Width of a number; the longest are of the form `1.23e-300`."""
+FEW = 5
+"""Number of unseen trajectories up to which the table states it, since their mean says little of others."""
 
 QUANTITIES = ("position", "velocity", "energy")
 
@@ -143,7 +145,10 @@ def _cell(row: Row | None, quantity: str) -> str:
 
 def _explanations(results: Results) -> Iterator[str]:
     """Yield explanations of the columns and sections present."""
-    yield from _wrapped("RMSE over unseen trajectories: mean over trajectories of the rms vector norm.")
+    stated = results.numbers.get("unseen")
+    count = stated.get("trajectories") if isinstance(stated, dict) else None
+    few = f"only {count} " if isinstance(count, int) and 1 < count <= FEW else ""
+    yield from _wrapped(f"RMSE over {few}unseen trajectories: mean over trajectories of the rms vector norm.")
     floors = dict.fromkeys(title(row.who, results.label) for row in results.rows if row.who.floor)
     if floors:
         yield from _wrapped(f"floor: score of perfect knowledge ({'; '.join(floors)}).")

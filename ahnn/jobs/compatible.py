@@ -6,6 +6,8 @@ import logging
 from typing import Any
 
 from ahnn.data.datamodule import WindowDataModule
+from ahnn.data.files.recordings import Recordings
+from ahnn.dynamics.mass_matrix import MassMatrixHamiltonian
 from ahnn.errors import UserError
 from ahnn.jobs.prepared import Prepared
 from ahnn.memory import require_memory
@@ -26,6 +28,7 @@ def check_together(prepared: Prepared) -> None:
     """
     data, model, trainer = prepared.data, prepared.model, prepared.trainer
     require_learnable(model, data)
+    require_momenta(model, data)
     if data.sensor is not None and data.sensor.unknown.correlation and prepared.robust != "none":
         message = (
             f"data.correlation: expected loss.robust=none; received loss.robust={prepared.robust}. Leave one "
@@ -60,6 +63,18 @@ def require_learnable(model: AbstractModel, data: WindowDataModule) -> None:
     if data.sensor is not None:
         require_identifiable(model.dynamics, data.sensor, windows=model.curriculum.span is not None)
         require_unbiased(model.about["settings"]["loss"].get("balance", 0.0))
+
+
+def require_momenta(model: AbstractModel, data: WindowDataModule) -> None:
+    """Raise UserError for a learned mass matrix M(q) with velocities from files, since p = M(q) v."""
+    source = data.source
+    stated = isinstance(source, Recordings) and not source.positions_only and not source.momenta
+    if stated and any(isinstance(part, MassMatrixHamiltonian) for part in model.dynamics.modules()):
+        message = (
+            "hamiltonian=mass_matrix: expected momenta p = M(q) v in the files, with system.mass=canonical; "
+            "received velocities. Use model=lnn, which learns from velocities"
+        )
+        raise UserError(message)
 
 
 def require_equations(model: AbstractModel, data: WindowDataModule) -> None:

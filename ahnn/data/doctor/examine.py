@@ -11,7 +11,7 @@ from ahnn.data.doctor.leakage import leakage_findings
 from ahnn.data.doctor.orbits import orbit_findings
 from ahnn.data.doctor.samples import sample_findings, too_few
 from ahnn.data.doctor.velocities import velocity_findings
-from ahnn.data.files.content import Content, since_first
+from ahnn.data.files.content import CANONICAL, Content, since_first
 from ahnn.data.files.reading import FileReading, bytes_of, parsed
 from ahnn.data.files.table import Fault, Place, Remark
 
@@ -41,7 +41,7 @@ class Examined(NamedTuple):
 def examine(
     paths: Sequence[Path],
     reading: FileReading,
-    mass: float | Sequence[float] | None = None,
+    mass: float | Sequence[float] | str | None = None,
     gap: float = 10.0,
 ) -> Examined:
     """Find all defects of files.
@@ -49,7 +49,7 @@ def examine(
     Args:
         paths: paths of the files.
         reading: reading options.
-        mass: factor m of p = m dq/dt.
+        mass: factor m of p = m dq/dt, or `canonical`.
         gap: multiple of the median step that counts as a gap.
 
     Raises:
@@ -72,12 +72,14 @@ def examine(
     return Examined(found + later, contents)
 
 
-def diagnosis(contents: Sequence[Content], mass: float | Sequence[float] | None, gap: float) -> list[Finding]:
+def diagnosis(
+    contents: Sequence[Content], mass: float | Sequence[float] | str | None, gap: float
+) -> list[Finding]:
     """Find the defects in the content of readable files.
 
     Args:
         contents: contents of the files.
-        mass: factor m of p = m dq/dt; None if unspecified.
+        mass: factor m of p = m dq/dt; None if unspecified, `canonical` for momenta without one.
         gap: multiple of the median step that counts as a gap.
     """
     found: list[Finding] = list(too_few(contents))
@@ -87,9 +89,10 @@ def diagnosis(contents: Sequence[Content], mass: float | Sequence[float] | None,
         judged = list(whole.tracks[:: -(-len(whole.tracks) // JUDGED)])
         found += sample_findings(whole, gap)
         if content.momenta and mass is None:
-            what, remedy = "momenta without a stated mass", "system.mass=..., in kg"
+            what = "momenta without a stated mass"
+            remedy = f"mass=..., in kg, or mass={CANONICAL}; system.mass= in a training"
             found.append(Finding("fault", file, content.head, content.rates[0], what, remedy))
-        else:
+        elif not isinstance(mass, str):
             found += velocity_findings(whole, judged, mass or 1.0)
         found += orbit_findings(whole, judged)
         found += clash(contents[0], content)

@@ -10,6 +10,9 @@ from ahnn.data.files.table import Place
 from ahnn.data.files.units import unit
 from ahnn.types import Units
 
+CANONICAL = "canonical"
+"""In place of a mass: momenta that are not mass times velocity, as those of coupled angles."""
+
 
 class Column(NamedTuple):
     """Interpretation of a column.

@@ -49,7 +49,7 @@ class Recordings(ABC):
         self,
         space: Space,
         contents: list[Content],
-        mass: float | Sequence[float] | None,
+        mass: float | Sequence[float] | str | None,
         *,
         cut: int | None,
         gap: float,

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from ahnn.arguments import Positive, Within, checked
 from ahnn.data.files import frame_names
-from ahnn.data.files.content import Content, since_first
+from ahnn.data.files.content import CANONICAL, Content, since_first
 from ahnn.data.files.frame_names import ROTATING
 from ahnn.data.files.reading import FileReading, bytes_of, parsed
 from ahnn.data.files.recordings import Recordings
@@ -29,7 +29,7 @@ class Files(Recordings):
         name: name of the data, in folders and tables.
         path: path of one or several files; None is an error.
         mass: factor m of p = m dq/dt, in kg (for angles, the inertia in kg m^2), common or per coordinate;
-            None for 1, with energies per unit mass.
+            None for 1, with energies per unit mass; `canonical` for momenta without such a factor.
         cut: number of samples of the segments into which trajectories are cut; None: not cut.
         gap: multiple of the median step that counts as a gap, for samples not on a grid.
         frame: target frame for data of known frame and epoch; None: no transformation.
@@ -49,7 +49,7 @@ class Files(Recordings):
         self,
         name: str,
         path: str | list[str] | None,
-        mass: Positive | list[Positive] | None = None,
+        mass: Positive | list[Positive] | Literal["canonical"] | None = None,
         cut: Annotated[int, Within(2)] | None = None,
         gap: Annotated[float, Within(1.5)] = 10.0,
         frame: Literal["GCRF", "EME2000"] | None = None,
@@ -76,7 +76,14 @@ class Files(Recordings):
         if first.momenta and mass is None:
             message = (
                 f"system.mass: expected the mass in p = m dq/dt for the momenta {', '.join(first.rates)} in "
-                f"{self.paths[0]}; received null. Set system.mass=1 for momenta per unit mass"
+                f"{self.paths[0]}; received null. Set system.mass=1 for momenta per unit mass, or "
+                f"system.mass={CANONICAL} if they are not mass times velocity, as those of coupled angles"
+            )
+            raise UserError(message)
+        if mass == CANONICAL and not first.momenta:
+            message = (
+                f"system.mass: expected a number without momenta in {self.paths[0]}; received {mass}. Name "
+                "momenta p1, p2, ..."
             )
             raise UserError(message)
         space = space_of(name, first, mass)
@@ -122,10 +129,12 @@ def spelled(value: Any) -> str:
     return ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
-def space_of(name: str, content: Content, mass: float | Sequence[float] | None) -> Space:
+def space_of(name: str, content: Content, mass: float | Sequence[float] | str | None) -> Space:
     """Build the space of the data."""
     momenta = content.rates if content.momenta else tuple(f"p{q}" for q in content.positions)
-    turning = content.momenta and content.frame.upper().startswith(ROTATING)
+    general = content.momenta and content.frame.upper().startswith(ROTATING)
+    if isinstance(mass, str):
+        general, mass = True, None
     inertia = (*mass,) if isinstance(mass, Sequence) else mass or 1.0
     if isinstance(inertia, tuple) and len(inertia) != len(content.positions):
         message = (
@@ -133,4 +142,4 @@ def space_of(name: str, content: Content, mass: float | Sequence[float] | None) 
         )
         raise UserError(message)
     parts = (*content.positions, *momenta), content.units, inertia, content.frame
-    return Space(name, *parts, mechanical=not turning, controls=content.controls)
+    return Space(name, *parts, mechanical=not general, controls=content.controls)

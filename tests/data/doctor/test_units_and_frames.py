@@ -164,7 +164,7 @@ def test_the_document_shows_what_the_command_prints(capsys, monkeypatch):
         (["check", "a.csv", "figure=x"], "check: unknown key 'figure'; did you mean 'figures'?"),
         (
             ["check", "a.csv", "mass=-1"],
-            "mass: expected a list of float > 0 or float > 0 or None; received -1",
+            "mass: expected a list of float > 0 or canonical or float > 0 or None; received -1",
         ),
         (["check", "a.csv", "frame=ITRF"], "frame: expected one of GCRF, EME2000 or None; received 'ITRF'"),
     ],
