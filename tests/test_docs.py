@@ -212,7 +212,7 @@ def test_a_command_prints_what_a_document_shows(title, tmp_path, monkeypatch, ca
     documents = (ROOT / "README.md").read_text() + (ROOT / "docs" / "floors.md").read_text()
     (printed,) = (text for kind, text in FENCE.findall(documents) if f"\n{title}" in text)
     monkeypatch.chdir(tmp_path)
-    small = ["data.trajectories=60", "data.windows_per_epoch=5000", "trainer.accelerator=cpu"]
+    small = ["data.trajectories=100", "data.windows_per_epoch=5000", "trainer.accelerator=cpu"]
     assert call("ahnn.train", *SHOWN[title], "trainer.max_epochs=1", *small) == 0
     lines = capsys.readouterr().out.splitlines()
     wanted = [line for line in printed.splitlines() if not line.startswith(("training", "epoch", "results"))]

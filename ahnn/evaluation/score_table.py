@@ -16,7 +16,7 @@ from ahnn.numbers import in_percent
 
 NUMBER = 9
 """Width of a number; the longest are of the form `1.23e-300`."""
-FEW = 5
+FEW = 4
 """Number of unseen trajectories up to which the table states it, since their mean says little of others."""
 
 QUANTITIES = ("position", "velocity", "energy")
