@@ -10,8 +10,8 @@ from oscillators import DOUBLE, Swing, segment
 from ahnn.shooting.path_sensitivities import path, steps_between
 from ahnn.training import least_observable
 from ahnn.training.laplace import conclude
-from ahnn.training.least_observable import least_observable_directions
-from ahnn.uncertainty.directions import MOST, filtered_directions
+from ahnn.training.least_observable import ENOUGH, LASTING, MOST, least_observable_directions
+from ahnn.uncertainty.directions import filtered_directions
 
 SPREAD = 0.02 * torch.eye(2, **DOUBLE)
 
@@ -21,9 +21,9 @@ def watched(monkeypatch):
     """What is followed, and how many directions are asked for."""
     seen = []
 
-    def looked(dynamics, spread, watched, most, learned):
+    def looked(dynamics, spread, watched, most, enough, learned):
         seen.append((watched, most))
-        return filtered_directions(dynamics, spread, watched, most, learned=learned)
+        return filtered_directions(dynamics, spread, watched, most, enough, learned)
 
     monkeypatch.setattr(least_observable, "filtered_directions", looked)
     return seen
@@ -34,13 +34,27 @@ def test_trajectories_are_followed_as_they_were_measured_from_starts_that_meet_t
     found = least_observable_directions(Swing(), SPREAD, measured, "none", Swing())
     ((along, most),) = watched
     close(along.start, starts, 0.02)
-    steps = steps_between(along.segment.times, measured.instrument.longest)
+    steps = steps_between(measured.times, measured.instrument.longest)
     sizes = path(Swing().increment, starts, steps.lengths).square().mean((0, 1)).sqrt()
     close(along.start_sd, sizes, 0.02)
-    assert torch.equal(along.segment.times, measured.times)
-    assert torch.equal(along.segment.values.isnan(), measured.values.isnan())
+    count = measured.times.shape[1]
+    assert along.segment.times.shape[1] == LASTING * count
+    assert torch.equal(along.segment.times[:, :count], measured.times)
+    assert bool((along.segment.times.diff(dim=1) > 0).all())
+    for values in along.segment.values.split(count, dim=1):
+        assert torch.equal(values.isnan(), measured.values.isnan())
     assert most == MOST
-    assert torch.equal(found, filtered_directions(Swing(), SPREAD, along, MOST).directions)
+    assert torch.equal(found, filtered_directions(Swing(), SPREAD, along, MOST, ENOUGH).directions)
+
+
+def test_trajectories_that_cannot_be_continued_are_followed_as_they_are(watched, monkeypatch):
+    """As those that fall into a singularity after their end."""
+    monkeypatch.setattr(least_observable, "path", lambda *_: torch.full((1,), torch.nan))
+    starts, measured = segment()
+    assert least_observable_directions(Swing(), SPREAD, measured, "none", Swing()) is not None
+    ((along, _),) = watched
+    close(along.start, starts, 0.02)
+    assert torch.equal(along.segment.times, measured.times)
 
 
 def test_a_dozen_trajectories_are_enough(watched, monkeypatch):
