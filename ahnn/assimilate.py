@@ -22,7 +22,7 @@ objects=COLUMN      column with the object of each line (CSV or Parquet), for in
                     a table of their states, or one for all; every=N lines form a batch (100,000)
 shard=2/8           only the objects of the second of eight workers, selected by name
 workers=2           number of processes that share the objects, or ray:2, tasks of Ray; state=FOLDER
-states=FILE         final states of the objects, usable as start of ahnn.predict: .csv, .parquet, .oem
+states=FILE         final states of the objects, usable as start of ahnn.predict: .csv, .parquet, or .oem each
 window=SECONDS      measurements late by up to this are merged by replay; at most lines=N are kept
 lag=SECONDS         each line also contains the estimate for this much earlier, smoothed with later lines
 measurement=NAME    measurement model; for several sensors +measurement@sensors.NAME=OPTION for each

@@ -249,11 +249,12 @@ def test_names_of_many_objects_pass_from_their_starts_to_their_states():
     for shards in ([], ["workers=2", "state=parts"]):
         made = [f"output=track{len(shards)}.csv", f"states=last{len(shards)}.oem"]
         assert assimilate(*given, *made, *shards) == 0
-        found = read_oem(f"last{len(shards)}.oem")
+        found = [one for b in range(COUNT) for one in read_oem(f"last{len(shards)}_S{b}.oem")]
         assert [(one.object_id, one.object_name) for one in found] == [
             (f"S{b}", f"NAME {b}") for b in range(COUNT)
         ]
         assert "objects:\n  S0: NAME 0\n" in Path(f"track{len(shards)}.yaml").read_text()
     asked = [COMMAND[0], "start=track0.csv", "duration=60", "output=ahead.oem", "frame=[EME2000,EARTH,UTC]"]
     assert call("ahnn.predict", *asked) == 0
-    assert [one.object_name for one in read_oem("ahead.oem")] == [f"NAME {b}" for b in range(COUNT)]
+    for b in range(COUNT):
+        assert [one.object_name for one in read_oem(f"ahead_S{b}.oem")] == [f"NAME {b}"]
