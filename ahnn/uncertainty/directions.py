@@ -106,6 +106,7 @@ def filtered_directions(
         lambda part: forcing(theta, states[:, part]) @ spread.float(),
     )
     rows = torch.cat([*_whitened_rows(arc, segment, watched.start_sd, spread.shape[1])])
+    rows = rows[rows.isfinite().flatten(1).all(1)]  # chaotic motion may exceed single precision
     axes = torch.linalg.eigh(torch.einsum("bdi,bdj->ij", rows, rows)).eigenvectors.flip(1)
     beyond = (rows @ axes).square().sum(1).flip(1).cumsum(1).flip(1).amax(0).tolist()
     count = min(max(1, sum(left > enough * rows.shape[1] for left in beyond)), most)
