@@ -242,16 +242,6 @@ def test_one_trajectory_makes_splits_only_when_it_is_cut(tmp_path, capfd):
     assert call("ahnn.train", *given, told.split()[-1], "data.split=[0.6,0.2,0.2]") == 0
 
 
-def test_steps_may_be_shorter_than_the_sampling_interval(tmp_path):
-    """Paths of the training, of the evaluation and of the run have steps of a quarter of the interval."""
-    data = swings(tmp_path / "swings.csv", 3, SD)
-    given = ["model=ahnn", "hamiltonian=mechanical", "sensor=recorded", f"data.noise={SD}"]
-    given += ["data.stride=0.25", "loss.stages=[[4, 1.0]]", "trainer.max_epochs=1", "model.network.width=4"]
-    folder = tmp_path / "run"
-    assert call("ahnn.train", *SMALL, f"system.path={data}", *given, f"run={folder}") == 0
-    assert ahnn.load(folder).dt == pytest.approx(0.0125)
-
-
 def test_general_momenta_are_said_to_be_such_and_velocities_are_no_momenta_of_a_mass_matrix(tmp_path, capfd):
     data = swings(tmp_path / "swings.csv", 4)
     wanted = [

@@ -11,6 +11,7 @@ from ahnn.data.generate import generate
 from ahnn.data.sensor import OUTLIER, Sensor
 from ahnn.errors import UserError
 from ahnn.measurements import GnssRange, GroundStation, Position, Several, State, noise_deviations
+from ahnn.shooting.path_sensitivities import steps_between
 
 TRUTH = generate(SPRING, 40, 0)
 SPACE = SPRING.space
@@ -131,3 +132,13 @@ def test_standard_deviations_of_one_of_several_of_a_kind_are_those_of_each():
 def test_tails_and_correlation_are_not_estimated_together():
     with pytest.raises(UserError, match=r"data.tails: expected data.correlation=null; received"):
         sensor(tails="estimate", correlation="estimate")
+
+
+def test_steps_of_the_integrator_may_divide_the_interval_between_samples():
+    instrument = sensor(stride=0.25).instrument(0.1)
+    assert instrument.longest == pytest.approx(0.025)
+    times = torch.tensor([[0.0, 0.1, 0.2, 0.5]], dtype=torch.float64)
+    steps = steps_between(times, instrument.longest)
+    assert steps.ends.tolist() == [0, 4, 8, 20]
+    with pytest.raises(UserError, match="stride: expected float > 0"):
+        sensor(stride=0)
