@@ -159,14 +159,14 @@ def build_sensors(
 
 
 def stations_of_file(file: str, space: Space, reference: Reference) -> dict[str, StreamSensor]:
-    """Return the stations of a file as sensors on the rotating Earth, with the epoch of time zero.
+    """Return the stations of a file that measure, as sensors on the Earth from an epoch of time zero.
 
     Raises:
-        UserError: the file does not exist, or a station measures nothing.
+        UserError: the file does not exist, or no station measures.
     """
-    angle, found = earth_axes(reference), {}
-    for name, entry in read_stations(file).items():
-        model = BiasedStation(entry, angle, space.mass)
+    angle, found, stations = earth_axes(reference), {}, read_stations(file)
+    for name, entry in ({n: one for n, one in stations.items() if one.noise} or stations).items():
+        model = BiasedStation(entry, angle, space.mass, f"{file}: {name}.")
         sd = model.bias_sd if any(model.bias_sd) else None
         found[name] = StreamSensor.of(model, model.deviations, space, bias_sd=sd)
     return found

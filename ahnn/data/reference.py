@@ -8,7 +8,7 @@ import re
 from typing import NamedTuple
 
 from ahnn.data.files.epochs import DAY, SECOND, instant, leaps, spelled
-from ahnn.data.files.frame_names import INERTIAL, NAMES, ROTATING, canonical, known
+from ahnn.data.files.frame_names import FIXED_AT, INERTIAL, ROTATING, canonical, known
 from ahnn.data.files.frames import CLOCKS, TO_TT
 from ahnn.errors import UserError
 
@@ -137,7 +137,7 @@ class Reference(NamedTuple):
 
     def assumed(self, length: str) -> Reference:
         """Set the Earth as the centre of `EARTHLY` frames with positions in km or m, if none is stated."""
-        if self.center or self.frame not in EARTHLY or length not in ("km", "m"):
+        if self.center or self.frame.partition(FIXED_AT)[0] not in EARTHLY or length not in ("km", "m"):
             return self
         return self._replace(center=BODY)
 
@@ -159,7 +159,7 @@ class Reference(NamedTuple):
         wanted, given = alias(ours.frame), alias(self.frame)
         if not given or wanted == given:
             return None
-        if wanted in NAMES.values() and known(self.frame):
+        if known(wanted) not in ("", "ITRF") and known(self.frame):
             return wanted
         if wanted or given.startswith(ROTATING):
             expected = f"frame {ours.frame}, as in the model" if wanted else "an inertial frame"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 
 from ahnn.data.files import Covariance, Ephemeris
+from ahnn.data.files.frame_names import FIXED_AT
 from ahnn.data.files.object_name import ObjectName
 from ahnn.data.files.units import LENGTH, TIME, unit
 from ahnn.data.reference import Reference
@@ -21,7 +22,8 @@ PLAIN = frozenset("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz012345678
 
 def require_named(reference: Reference) -> None:
     """Raise UserError for a message without frame, centre, time system and epoch."""
-    if not all(reference[:3]) or not PLAIN.issuperset("".join(reference[:3])):
+    named = [name.partition(FIXED_AT)[0] for name in reference[:3]]
+    if not all(named) or not PLAIN.issuperset("".join(named)):
         message = (
             "frame: expected frame, centre and time system for an ephemeris message, such as "
             f"frame=[EME2000,EARTH,UTC]; received {str(reference) or 'none'!r}"
@@ -68,7 +70,8 @@ def ephemerides(prediction: Prediction, starts: Starts, space: Space) -> list[Ep
                 object_id=_plain(one.designator or one.id),
                 object_name=_plain(one.name),
                 center=center,
-                frame=frame,
+                frame=frame.partition(FIXED_AT)[0],
+                frame_epoch=frame.partition(FIXED_AT)[2],
                 time_system=clock,
                 start=begin,
                 times=since,

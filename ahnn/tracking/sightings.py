@@ -1,7 +1,7 @@
 """Data source for training on station measurements: files of ranges, angles and range rates of satellites.
 
-States refer to the true equator of date (CIRS), about whose pole the Earth rotates: precession, nutation,
-polar motion and refraction are not modelled, as in `ahnn.measurements.GroundStation`.
+States refer to the true equator of the first day (CIRS of that day), about whose pole the Earth is symmetric.
+Stations move with precession, nutation and UT1; polar motion and refraction are not modelled.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ import torch
 from torch.nn.functional import pad
 
 from ahnn.arguments import Within, checked
-from ahnn.data.files.epochs import SECOND
+from ahnn.data.files.epochs import SECOND, spelled
+from ahnn.data.files.frame_names import FIXED_AT
 from ahnn.data.files.raw import content_of
 from ahnn.data.files.reading import bytes_of
 from ahnn.data.files.samples import Track, filled, stacked, trimmed
@@ -26,15 +27,21 @@ from ahnn.data.reference import Reference
 from ahnn.errors import UserError
 from ahnn.measurements import Observations, StationsOfFile, continuous, periods
 from ahnn.systems import System
+from ahnn.tracking.earth_axes import earth_axes
 from ahnn.tracking.formats.tracking_files import read_tracking
 from ahnn.tracking.tracking_data import KINDS, TrackingData
 from ahnn.types import Space, Trajectories, Units
 
 log = logging.getLogger(__name__)
 UNITS = Units("s", "km", "km/s", "km²/s²")
-FRAME = Reference("CIRS", "EARTH", "UTC")
 UNKNOWNS = 6
 """Number of components of the initial state of a segment, which so many measured values spend."""
+
+
+def of_first_day(epoch: int) -> Reference:
+    """Return the reference of states with an epoch of time zero, in picoseconds of UTC."""
+    day = spelled(epoch, utc=True).partition("T")[0]
+    return Reference(f"CIRS{FIXED_AT}{day}T00:00:00", "EARTH", "UTC", epoch)
 
 
 @checked
@@ -54,7 +61,8 @@ class Sightings:
         measurement: measurement model of the stations named in the files, side by side.
 
     Raises:
-        UserError: a file that cannot be read, an unknown station, or no measurement whose noise is specified.
+        UserError: a file that cannot be read, an unknown station, no measurement whose noise is specified, or
+            no pyerfa.
     """
 
     truth: System | None = None
@@ -71,9 +79,9 @@ class Sightings:
         require_different(paths)
         self.cut, self.gap, file = cut, gap, Path(stations).expanduser()
         found = [(str(path), data) for path in paths for data in read_tracking(path)]
-        reference = FRAME._replace(epoch=min(data.epoch for _, data in found))
+        reference = of_first_day(min(data.epoch for _, data in found))
         seen = [name for _, data in found for name in data.stations]
-        self.measurement = StationsOfFile(str(file), reference.earth_angle(), only=[*dict.fromkeys(seen)])
+        self.measurement = StationsOfFile(str(file), earth_axes(reference), only=[*dict.fromkeys(seen)])
         components = ("x", "y", "z", "px", "py", "pz")
         self.space = Space(name, components, UNITS, frame=str(reference))
         raw = [part for path in paths for part in bytes_of(path)] + [content_of(file)]
@@ -96,8 +104,9 @@ class Sightings:
             log.warning(message, name, few, len(parts), UNKNOWNS, remedy)
 
     def recipe(self) -> dict[str, Any]:
-        """Return the hash of the files, and the cut."""
-        return {"files": self._sha256, "cut": self.cut, "gap": self.gap}
+        """Return the hash of the files, the cut and the frame."""
+        frame = Reference.of(self.space.frame).frame
+        return {"files": self._sha256, "cut": self.cut, "gap": self.gap, "frame": frame}
 
     def steps(self) -> int:
         """Return the number of steps of the shortest trajectory."""

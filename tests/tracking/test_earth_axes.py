@@ -21,7 +21,7 @@ FROM = "from 2024-03-01T12:00:00.000"
 LIKE = torch.zeros(6, dtype=torch.float64)
 
 
-@pytest.mark.parametrize("frame", ["EME2000", "GCRF", "TEME"])
+@pytest.mark.parametrize("frame", ["EME2000", "GCRF", "TEME", "CIRS of 2024-02-01T00:00:00"])
 def test_stations_follow_precession_and_nutation(frame):
     station = GroundStation(5.15, -52.65, 0.02, earth_angle=module.earth_axes(f"{frame}, EARTH, UTC, {FROM}"))
     ut1 = module.ut1_of(NOON, TIMES) - 86400 * 8826.5  # since noon
@@ -30,6 +30,8 @@ def test_stations_follow_precession_and_nutation(frame):
     expected = erfa.c2t06a(*tt, *ut1, 0.0, 0.0)
     if frame == "EME2000":
         expected = expected @ erfa.bp00(2460371.0, 0.0)[0].T
+    if frame.startswith("CIRS of"):
+        expected = expected @ erfa.c2i06a(2460341.5, 69.184 / 86400).T
     if frame == "TEME":
         expected = erfa.rz(erfa.gmst82(*ut1), np.eye(3))
     site = erfa.gd2gc(1, *np.radians([-52.65, 5.15]), 20.0) / 1e3

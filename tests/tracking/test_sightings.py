@@ -13,14 +13,15 @@ from entry import call
 
 import ahnn
 from ahnn.data.files.epochs import SECOND, instant, spelled
-from ahnn.data.reference import Reference
 from ahnn.errors import UserError
 from ahnn.measurements import StationsOfFile, observe
 from ahnn.systems import Molniya
 from ahnn.systems.truth import exact_flow
+from ahnn.tracking.earth_axes import earth_axes
 from ahnn.tracking.sightings import Sightings
 
 ZERO = instant("2026-03-01T00:00:00", utc=True)
+FRAME = "CIRS of 2026-03-01T00:00:00, EARTH, UTC, from 2026-03-01T00:00:00.000"
 NOISE = "noise: {range: 0.02, azimuth: 0.01, elevation: 0.01"
 STATIONS = f"""
 kiruna: {{latitude: 67.86, longitude: 20.96, {NOISE}}}, bias: {{range: 0.5}}}}
@@ -44,8 +45,8 @@ def place(tmp_path_factory):
         states.append(flow(states[-1], STEP))
     truth = torch.cat(states)
     times = STEP * torch.arange(len(truth), dtype=torch.float64)
-    angle = Reference(clock="UTC", epoch=ZERO).earth_angle()
-    model = StationsOfFile(str(folder / "stations.yaml"), angle, only=("kiruna", "poker", "awarua"))
+    names = ("kiruna", "poker", "awarua")
+    model = StationsOfFile(str(folder / "stations.yaml"), earth_axes(FRAME), only=names)
     noise = torch.randn(len(truth), len(model.names), generator=torch.Generator().manual_seed(2)).double()
     seen = observe(model, truth, times) + noise * torch.tensor(model.deviations).double()
     lines = [HEAD]
@@ -68,7 +69,7 @@ def test_the_source_has_what_the_stations_saw(place):
     source = Sightings("mine", str(folder / "seen.csv"), str(folder / "stations.yaml"), cut=100)
     values, times = source.observations()
     assert source.measurement.names[0] == "kiruna.range"
-    assert source.space.frame.startswith("CIRS, EARTH, UTC, from 2026-03-01T00:00")
+    assert source.space.frame == FRAME
     k = (times / STEP).round().nan_to_num(0).long()
     assert torch.allclose(times, k.double() * STEP + 0 * times, rtol=1e-12, equal_nan=True)
     expected = torch.where(values.isfinite(), seen[k], torch.nan)

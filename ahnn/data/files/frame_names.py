@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import re
 
+from ahnn.data.files.epochs import instant, spelled
+
 INERTIAL = ("GCRF", "EME2000")
 NAMES = {
     **{"GCRF": "GCRF", "ICRF": "GCRF", "EME2000": "EME2000", "J2000": "EME2000"},
     **{"TEME": "TEME", "CIRS": "CIRS"},
 }
+OF_DATE = ("TEME", "CIRS")
+"""Frames whose axes move; `CIRS of 2026-03-01T00:00:00` has its axes of that moment at all times."""
+FIXED_AT = " of "
+"""Separates the name of such a frame and the moment."""
 CENTRES = ("EARTH", "SUN", "MOON", "MARS", "VENUS", "JUPITER", "SATURN")
 SPELLINGS = {
     **{frame: frame for frame in ("EME2000", "GCRF", "ICRF", "TEME", "CIRS")},
@@ -30,8 +36,20 @@ def canonical(frame: str) -> str:
 
 def known(frame: str) -> str:
     """Return the frame of a name such as `ITRF2014, EARTH, UTC`; "" if unknown."""
-    name = frame.split(",")[0].strip().upper()
+    given, of, moment = frame.split(",")[0].strip().partition(FIXED_AT)
+    name = given.upper()
+    if of:
+        date = _spelled(moment) if NAMES.get(name) in OF_DATE else ""
+        return f"{NAMES[name]}{of}{date}" if date else ""
     return "ITRF" if name.startswith("ITRF") and " " not in name else NAMES.get(name, "")
+
+
+def _spelled(moment: str) -> str:
+    """Return an epoch of UTC in its usual format; "" for other text."""
+    try:
+        return spelled(instant(moment, utc=True), utc=True)
+    except ValueError:
+        return ""
 
 
 def remedy(*given: str) -> str:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ahnn.data.files import epochs
 from ahnn.data.files.content import Content
-from ahnn.data.files.frame_names import CENTRES, INERTIAL, NAMES, SIDECAR, known
+from ahnn.data.files.frame_names import CENTRES, FIXED_AT, INERTIAL, NAMES, SIDECAR, known
 from ahnn.data.files.samples import Array, Track
 from ahnn.data.files.table import Place
 from ahnn.data.files.units import LENGTH, unit
@@ -96,8 +96,11 @@ def rotations(tt: Array, given: str, frame: str) -> NDArray[np.float64]:
 def into_gcrf(tt: Array, frame: str) -> NDArray[np.float64]:
     """Return matrices, (T, 3, 3), from a frame into GCRF at Julian dates of TT, (2, T)."""
     erfa = library("erfa", "pyerfa", "orbit", "system.frame")
+    name, of, moment = frame.partition(FIXED_AT)
     matrices: Any = np.eye(3)
-    if frame == "EME2000":
+    if of:
+        matrices = into_gcrf(terrestrial(epochs.instant(moment, utc=True), np.zeros(1), "UTC"), name)
+    elif frame == "EME2000":
         matrices = erfa.bp00(*tt[:, 0])[0].T  # the mean equator and equinox of J2000.0
     elif frame == "CIRS":
         matrices = erfa.c2i06a(*tt).transpose(0, 2, 1)

@@ -20,6 +20,7 @@ from ahnn.evaluation import load_results
 from ahnn.jobs.checking import check
 from ahnn.loading import load
 
+FIXED = "CIRS of 1980-01-01T00:00:00.000"
 VANGUARD = """VANGUARD 1
 1 00005U 58002B   00179.78495062  .00000023  00000-0  28098-4 0  4753
 2 00005  34.2682 348.7242 1859667 331.7664  19.3264 10.82419157413667
@@ -92,13 +93,16 @@ def test_frames_that_clash_are_refused_unless_they_are_turned(tmp_path):
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.integers(-(10**9), 10**9), st.sampled_from(["TEME", "ITRF", "EME2000"]))
+@given(st.integers(-(10**9), 10**9), st.sampled_from(["TEME", "ITRF", "EME2000", FIXED]))
 def test_turns_are_rotations_and_go_together(seconds, frame):
     pytest.importorskip("erfa")
     tt = frames.terrestrial(seconds * 10**12, np.array([0.0, 5000.0]), "UTC")
     one, other = (frames.rotations(tt, frame, into) for into in frames.INERTIAL)
     assert np.abs(one @ one.transpose(0, 2, 1) - np.eye(3)).max() < 1e-12
     assert np.abs(frames.rotations(tt, "GCRF", "EME2000") @ one - other).max() < 1e-12
+    if frame == FIXED:
+        assert np.array_equal(one[0], one[1])
+        assert not np.allclose(one, frames.rotations(tt, "CIRS", "GCRF"), rtol=0, atol=1e-9)
 
 
 def test_the_frame_is_kept_in_the_results_of_a_training(tmp_path):

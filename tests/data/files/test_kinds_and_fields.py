@@ -213,12 +213,23 @@ def test_segments_of_two_frames_are_refused_unless_they_are_turned(tmp_path):
     assert bool(((off > 1e-5) & (off < 1e-3)).all())  # 23 thousandths of a second of arc, 0.8 m
 
 
-def test_a_frame_of_a_date_is_not_that_of_another(tmp_path, message):
-    dated = message.replace("REF_FRAME = EME2000", "REF_FRAME = TEME\nREF_FRAME_EPOCH = 2024-03-01T00:00:00")
+@pytest.mark.parametrize("name", ["TEME", "TOD"])
+def test_a_frame_of_a_date_is_not_that_of_another(tmp_path, message, name):
+    moment = "2024-03-01T00:00:00"
+    dated = message.replace("REF_FRAME = EME2000", f"REF_FRAME = {name}\nREF_FRAME_EPOCH = {moment}")
     (tmp_path / "a.oem").write_text(dated)
-    assert said(tmp_path / "a.oem")[0].frame == "TEME of 2024-03-01T00:00:00, EARTH, UTC"
-    with pytest.raises(Fault, match="expected a frame that can be converted to GCRF"):
-        said(tmp_path / "a.oem", "GCRF")
+    found = said(tmp_path / "a.oem")[0]
+    assert found.frame == f"{name} of {moment}, EARTH, UTC"
+    if name == "TOD":
+        with pytest.raises(Fault, match="expected a frame that can be converted to GCRF"):
+            said(tmp_path / "a.oem", "GCRF")
+        return
+    (tmp_path / "b.oem").write_text(dated.replace(f"\nREF_FRAME_EPOCH = {moment}", ""))
+    fixed, of_date = (said(tmp_path / file, "GCRF")[0].tracks[0].values for file in ("a.oem", "b.oem"))
+    days = (found.epoch - instant(moment, utc=True)) / 86400e12
+    off = np.linalg.norm(fixed[:, :3] - of_date[:, :3], axis=1) / np.linalg.norm(fixed[:, :3], axis=1)
+    assert bool((off < 1e-6 + 3e-7 * abs(days)).all())  # precession is 50 seconds of arc a year
+    assert bool((off > 0).all())
 
 
 def test_a_sidecar_beside_a_message_is_said_to_be_not_used(tmp_path, message):
