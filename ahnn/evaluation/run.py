@@ -161,7 +161,9 @@ def add_worth(case: Case, findings: Findings) -> Worth:
             findings.numbers["friction_test"] = beside._asdict()
         return found
     if (trend := energy_trend(case)) is not None:
-        findings.tell(trend.sentence(case.space.units.time), findings.faults)
+        said = trend.sentence(case.space.units.time)
+        doubtful = "if it remains with a better model: " if said and found.worthless else ""
+        findings.tell(doubtful + said, findings.faults)
         findings.numbers["energy_trend"] = trend._asdict()
     if (timed := time_test(case)) is not None:
         findings.tell(timed.sentence(), findings.faults)

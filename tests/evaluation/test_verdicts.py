@@ -105,6 +105,15 @@ def test_energy_that_data_lose_is_named_with_its_rate_and_a_remedy(tmp_path):
     assert "rises" in gained.sentence("1")
 
 
+def test_friction_beside_a_worthless_model_is_in_doubt(tmp_path):
+    damped, doubt = driven(friction=0.05), "if it remains with a better model: along the data the learned"
+    for flow, expected in ((lambda x, _: x, True), (None, False)):
+        changes = {"perturbation": None} | ({} if flow is None else {"flow": flow})
+        faults = evaluate(case_of(tmp_path, damped, **changes), {}, figures=False).faults
+        assert any(one.startswith(doubt) for one in faults) == expected
+        assert any("forces=friction" in one for one in faults)
+
+
 @pytest.mark.parametrize("gravity", [9.81, 9.0])
 def test_data_without_friction_have_no_trend_whatever_the_error_of_the_model(tmp_path, gravity):
     trend = energy_trend(case_of(tmp_path, driven(), dataclasses.replace(FREE, gravity=gravity)))
