@@ -13,6 +13,7 @@ from ahnn.progress import progress_bar
 from ahnn.rollouts import stepped
 from ahnn.systems import System
 from ahnn.systems.drawn_states import drawn_states
+from ahnn.systems.energy_check import require_conserved
 from ahnn.systems.hamilton_check import require_hamilton
 from ahnn.systems.truth import exact_flow
 from ahnn.types import Trajectories, rows_of_part
@@ -36,7 +37,7 @@ def generated(system: System, count: int, seed: int) -> Iterator[Trajectories]:
 
     Raises:
         UserError: the trajectories are too long to be stored, become non-finite, or cannot be computed
-            accurately, or the energy of the system is inconsistent with its force.
+            accurately, or the energy of the system is inconsistent with its force or not conserved.
     """
     generator = torch.Generator().manual_seed(seed)
     x = drawn_states(system, count, generator)
@@ -65,6 +66,7 @@ def generated(system: System, count: int, seed: int) -> Iterator[Trajectories]:
             require_finite(system, states, ends, begin)
             if int(ends.min()) < longest:
                 states[torch.arange(longest + 1) > ends.unsqueeze(-1)] = torch.nan
+            require_conserved(system, states, begin)
             yield part._replace(states=states)
 
 

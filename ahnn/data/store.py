@@ -48,6 +48,7 @@ def recipe(system: System, count: int, seed: int) -> dict[str, Any]:
         "count": count,
         "seed": seed,
     }
+    known |= {"singular": True} if system.singular else {}
     return known | ({"code": code} if (code := source_of(kind)) else {})
 
 

@@ -60,6 +60,7 @@ class System(ABC):
         controls: names of external inputs on which forces may depend.
         angles: names of angular coordinates; all of them if positions are in rad.
         linear: whether controls are interpolated linearly between samples instead of held.
+        singular: whether the force is infinite at some places, near which the truth needs shorter steps.
     """
 
     name: str
@@ -75,6 +76,7 @@ class System(ABC):
     controls: ClassVar[tuple[str, ...]] = ()
     angles: ClassVar[tuple[str, ...]] = ()
     linear: ClassVar[bool] = False
+    singular: ClassVar[bool] = False
     mass: Positive = 1.0
 
     def __post_init__(self) -> None:

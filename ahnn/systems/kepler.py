@@ -27,6 +27,7 @@ class Kepler(System):
     components = ("x", "y", "px", "py")
     units = Units(time="1", position="1", velocity="1", energy="1")
     integrator = "kahan_li8"
+    singular = True
     noise = FilterNoise(position=1e-3, velocity=1e-3, measurement=1e-3)
 
     def energy(self, x: Tensor) -> Tensor:

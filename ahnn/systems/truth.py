@@ -18,6 +18,7 @@ from ahnn.rollouts import rollout
 from ahnn.substeps import substeps, substeps_of_each
 from ahnn.systems.base import System
 from ahnn.systems.drawn_states import drawn_states
+from ahnn.systems.encounters import through_encounters
 from ahnn.types import Flow, TimeStep
 
 ACCURACY = 1e-10
@@ -39,7 +40,7 @@ def exact_flow(system: System) -> Flow:
         UserError: no admissible number of substeps is accurate.
     """
     count = accurate_substeps(system)
-    return system.compiled(SubstepsFlow(system, count), system.dt / count)
+    return system.compiled(SubstepsFlow(system, count, system.singular), system.dt / count)
 
 
 def varied_flow(system: System, constants: Mapping[str, Tensor]) -> Flow:
@@ -106,10 +107,14 @@ def _trial_error(system: System, count: int) -> float:
 
 
 class SubstepsFlow(NamedTuple):
-    """Flow of a system with `number` substeps per sampling interval, and in proportion for other steps."""
+    """Flow of a system with `number` substeps per sampling interval, and in proportion for other steps.
+
+    If `guarded`, steps that do not conserve the energy are halved.
+    """
 
     system: System
     number: int
+    guarded: bool = False
 
     @property
     def clock(self) -> int:
@@ -120,11 +125,19 @@ class SubstepsFlow(NamedTuple):
         """Return the states (B, D) after dt."""
         integrator, longest = INTEGRATORS[self.system.integrator], self.system.dt / self.number
         if isinstance(dt, Tensor) and dt.ndim:
-            return self._of_members(x, dt, substeps_of_each(dt.abs().nan_to_num(), longest))
-        parts = substeps(dt, longest)
-        for _ in range(parts):
-            x = integrator.step(self.system, x, dt / parts)
-        return x
+            parts = substeps_of_each(dt.abs().nan_to_num(), longest)
+            y = self._of_members(x, dt, parts)
+        else:
+            parts, y = substeps(dt, longest), x
+            for _ in range(parts):
+                y = integrator.step(self.system, y, dt / parts)
+        if not self.guarded:
+            return y
+        before, after = (one.reshape(-1, x.shape[-1]) for one in (x, y))
+        steps = torch.as_tensor(dt, dtype=x.dtype).expand(x.shape[:-1]).flatten()
+        counts = torch.as_tensor(parts).expand(x.shape[:-1]).flatten()
+        found = through_encounters(self.system, self._of_members, before, after, steps, counts)
+        return found.reshape(x.shape)
 
     def _of_members(self, x: Tensor, dt: Tensor, parts: Tensor) -> Tensor:
         """Propagate states (B, D) over steps (B,) with individual numbers of parts (B,)."""

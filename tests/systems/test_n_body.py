@@ -9,7 +9,10 @@ from scipy.integrate import solve_ivp
 
 from ahnn.data.generate import generate
 from ahnn.errors import UserError
-from ahnn.systems import NBody
+from ahnn.rollouts import rollout
+from ahnn.systems import NBody, exact_flow
+from ahnn.systems.encounters import conserved
+from ahnn.systems.energy_check import require_conserved
 
 FOUR = NBody(name="four", dt=0.01, steps=100, bodies=4, masses=[1.0, 2.0, 0.5, 1.5])
 
@@ -41,6 +44,35 @@ def test_the_motion_is_scipy_s():
     expected = solve_ivp(field, (0, 1), x[0].numpy(), rtol=1e-12, atol=1e-13).y[:, -1]
     found = generate(FOUR, 1, 3).states[0, -1]
     close(found, torch.as_tensor(expected), 1e-8)
+
+
+def test_close_encounters_are_those_of_scipy():
+    system = NBody(name="unequal", dt=0.01, steps=500, masses=[1.0, 1.5, 0.8])
+    x = system.initial_states(200, generator(0))[[41, 150]]
+    flow = exact_flow(system)
+    assert not conserved(system, x, rollout(flow._replace(guarded=False), x, 5.0, 2)[:, -1]).any()
+    found = rollout(flow, x, system.dt, 501)
+    energy = system.energy(found)
+    assert float((energy - energy[:, :1]).abs().max()) < 1e-7
+    field = lambda _, y: system.hamiltonian(torch.as_tensor(y)).numpy()  # noqa: E731
+    for one, end in zip(x, found[:, -1], strict=True):
+        expected = solve_ivp(field, (0, 5), one.numpy(), "DOP853", rtol=1e-13, atol=1e-13).y[:, -1]
+        close(end, torch.as_tensor(expected), 1e-5)
+    uneven = torch.tensor([5.0, 4.99], dtype=torch.float64)
+    close(flow(x, uneven)[0], found[0, -1], 1e-5)
+
+
+def test_trajectories_that_lose_energy_are_reported_or_refused(caplog):
+    states = generate(FOUR, 3, 5).states
+    require_conserved(FOUR, states, 7)
+    assert not caplog.messages
+    states[1, -1, 8:] *= 1 + 1e-4
+    require_conserved(FOUR, states, 7)
+    assert "1 of 3 trajectories change their energy, by up to 0.0" in caplog.text
+    assert "(trajectory 8)" in caplog.text
+    states[1, -1, 8:] *= 1.1
+    with pytest.raises(UserError, match="expected reference states that conserve the energy; received traj"):
+        require_conserved(FOUR, states, 7)
 
 
 def test_one_body_and_masses_of_others_are_refused():
