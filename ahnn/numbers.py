@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from numbers import Real
 from typing import Any, cast
 
@@ -24,6 +24,12 @@ def in_percent(fraction: float) -> str:
     if 0 < value < 0.01:
         return "less than 0.01 %"
     return f"{value:.2g} %" if value < 9.95 else f"{value:.0f} %"
+
+
+def if_few(trajectories: int) -> str:
+    """Return ` (only one trajectory)`, or two, for a result over so few; "" otherwise."""
+    names = {1: "one trajectory", 2: "two trajectories"}
+    return f" (only {names[trajectories]})" if trajectories in names else ""
 
 
 def as_float64(value: Numbers, who: str, device: torch.device | None = None) -> Tensor:
@@ -50,8 +56,18 @@ def as_float64(value: Numbers, who: str, device: torch.device | None = None) -> 
             expected = "real numbers"
     except (TypeError, ValueError, OverflowError, RuntimeError):
         pass
-    message = f"{who}: expected {expected}; received {described(value)}"
+    wrong = next(_texts(value), None) if isinstance(value, list | tuple) else None
+    received = described(value) if wrong is None else f"{wrong!r} among them"
+    message = f"{who}: expected {expected}; received {received}"
     raise UserError(message)
+
+
+def _texts(value: object) -> Iterator[str]:
+    """Yield the texts in nested lists and tuples."""
+    if isinstance(value, str):
+        yield value
+    for part in value if isinstance(value, list | tuple) else ():
+        yield from _texts(part)
 
 
 def _is_dense(value: Tensor) -> bool:

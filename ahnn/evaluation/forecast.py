@@ -19,7 +19,7 @@ from ahnn.evaluation.independent_directions import TOO_FEW
 from ahnn.evaluation.sampled_forecast import sampled_errors
 from ahnn.measurements import Segment
 from ahnn.measurements.student_noise import normal_scores
-from ahnn.numbers import in_percent
+from ahnn.numbers import if_few, in_percent
 from ahnn.shooting.initial_states import FOLLOWING, LOST, SURE, linearised, refine
 from ahnn.shooting.path_sensitivities import Steps, path, steps_between
 from ahnn.shooting.quadrature import coarse
@@ -82,9 +82,10 @@ class Forecast(NamedTuple):
 
     def sentence(self) -> str:
         """Return the finding as a note under the table."""
+        count = self.trajectories - self.lost
         text = (
-            f"forecasts of the second half of {self.trajectories - self.lost} unseen trajectories from their "
-            f"first half: bands of 1, 2 and 3 standard deviations, rms {self.width:.3g} times the noise, "
+            f"forecasts of the second half of {count} unseen {'trajectory' if count == 1 else 'trajectories'} "
+            f"from the first half: bands of 1, 2 and 3 standard deviations, rms {self.width:.3g} times the noise, "
             f"contain {percent(self.coverage)} % of the measured values"
         )
         if self.states is not None:
@@ -100,8 +101,8 @@ class Forecast(NamedTuple):
     def verdict(self) -> str:
         """Return the coverage of the bands, for the verdict."""
         return (
-            f"bands: {100 * self.coverage[1]:.3g} % of unseen measurements lie within 2 standard deviations "
-            f"of their forecast ({100 * NORMAL[1]:.3g} % if the bands are right)"
+            f"bands: {100 * self.coverage[1]:.3g} % of unseen measurements{if_few(self.trajectories - self.lost)} lie "
+            f"within 2 standard deviations of their forecast ({100 * NORMAL[1]:.3g} % if the bands are right)"
         )
 
     def numbers(self) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from ahnn.estimation.consistency import band
 from ahnn.jacobians import step_jacobians
 from ahnn.measurements import Segment
 from ahnn.measurements.smoothing import guess
-from ahnn.numbers import in_percent
+from ahnn.numbers import if_few, in_percent
 from ahnn.shooting.initial_states import FOLLOWING, LOST, SURE, Fitted, Trial, fit_starts, refine
 from ahnn.shooting.path_sensitivities import Steps, steps_between
 from ahnn.shooting.robust import ROBUST, Robust, RobustName, loss_of
@@ -87,7 +87,7 @@ class Explained(NamedTuple):
         low, high = self.band
         digits = max(1, math.ceil(-math.log10(max(high - low, 1e-9) / 2))) if high > low else 1
         text = (
-            f"residuals of unseen measurements have {self.chi_square:#.4g} times the noise variance "
+            f"residuals of unseen measurements{if_few(self.trajectories)} have {self.chi_square:#.4g} times the noise variance "
             f"({low:.{digits}f} to {high:.{digits}f} if the model is right), and successive residuals "
             f"correlate by {self.correlation:+.1g}"
         )

@@ -7,9 +7,10 @@ from collections.abc import Iterable
 import torch
 from torch import Tensor, nn
 
-from ahnn.evaluation.goodness_of_fit import OUTLYING, fit_to
+from ahnn.data.segments import whole
+from ahnn.evaluation.goodness_of_fit import OUTLYING, explain, fit_to
 from ahnn.evaluation.residual_tests import ResidualTests, residual_tests
-from ahnn.measurements import NoiseEstimate, Position, Segment, State
+from ahnn.measurements import NoiseEstimate, Observations, Position, Segment, State
 from ahnn.numbers import in_percent
 from ahnn.shooting.robust import RobustName
 
@@ -23,8 +24,37 @@ COLOURED, BIASED = 0.15, 0.2
 """Minimum reported correlation of successive residuals, and constant offset in standard deviations."""
 OFF = 1.4
 """Minimum reported factor between data.noise and the actual noise; bands are wrong by the same factor."""
+ENOUGH, MOST = 400, 4000
+"""Number of unseen values that suffice for a diagnosis, and approximate maximum of those of the training."""
 FEW = 1e-3
 """Minimum reported fraction of outliers; normal noise has 6e-5."""
+
+
+def diagnosis(dynamics: nn.Module, unseen: Segment, training: Segment | None, robust: RobustName) -> str:
+    """Diagnose why a model does not explain unseen measurements, with remedies; "" without a finding.
+
+    A few unseen measurements do not tell the noise from the model; those of the training then do.
+
+    Args:
+        dynamics: float64 dynamics with an `increment` method.
+        unseen: measurements not used in training.
+        training: measurements used in training, if known.
+        robust: robust loss of the training.
+    """
+    few = int(unseen.measured.sum()) < ENOUGH
+    if training is None or not few or int(training.measured.sum()) <= int(unseen.measured.sum()):
+        return remedy(dynamics, unseen, robust)
+    some = training.rows(training.measured.cumsum(0) <= max(MOST, int(training.measured[0])))
+    some = whole(Observations(some.values, some.times), some.instrument)
+    if said := remedy(dynamics, some, robust):
+        return said
+    seen = explain(dynamics, some, robust)
+    if not seen.chi_square <= seen.band[1]:
+        return ""
+    return (
+        f"the measurements of the training have {seen.chi_square:#.3g} times the noise variance: the model "
+        "fits these better than the unseen ones, so that more trajectories would help"
+    )
 
 
 @torch.no_grad()
@@ -33,7 +63,7 @@ def remedy(dynamics: nn.Module, segment: Segment, robust: RobustName) -> str:
 
     Args:
         dynamics: float64 dynamics with an `increment` method.
-        segment: measurements not used in training.
+        segment: measurements.
         robust: robust loss of the training.
     """
     segment = segment.rows(segment.measured > 2 * segment.instrument.dof + 2)
@@ -72,6 +102,7 @@ def verdicts(found: ResidualTests, names: tuple[str, ...], interval: float, robu
         robust: robust loss of the training.
     """
     pairs = found.pairs.clamp(min=1)
+    found = found._replace(scale=_significant(found))
     coloured = found.correlation > (SURE / pairs.sqrt()).clamp(min=COLOURED)
     if bool((found.explained > torch.where(coloured, EXPLAINED, 2 * EXPLAINED)).any()):
         fraction = in_percent(float(found.explained.clamp(min=0).max()))
@@ -93,6 +124,14 @@ def verdicts(found: ResidualTests, names: tuple[str, ...], interval: float, robu
             "data.tails=estimate to model them"
         )
     return said
+
+
+def _significant(found: ResidualTests) -> Tensor:
+    """Return scales (M,), 1 where the difference is no more than chance; correlated values count less."""
+    correlation = found.correlation.clamp(0, 0.99)
+    independent = (found.pairs * (1 - correlation) / (1 + correlation)).clamp(min=1)
+    sure = found.scale.log().abs() > SURE / (2 * independent).sqrt()
+    return torch.where(sure, found.scale, 1.0)
 
 
 def _listed(entries: Iterable[tuple[str, float, bool]]) -> str:

@@ -17,7 +17,7 @@ from ahnn.evaluation.forecast import HALF, Forecast, forecast
 from ahnn.evaluation.friction_test import friction_test
 from ahnn.evaluation.goodness_of_fit import explain
 from ahnn.evaluation.open_loop import open_loop
-from ahnn.evaluation.residual_diagnosis import invisible, remedy
+from ahnn.evaluation.residual_diagnosis import diagnosis, invisible
 from ahnn.evaluation.titles import described
 from ahnn.evaluation.trajectory_figures import open_loop_figures
 from ahnn.evaluation.verdict import verdict
@@ -127,7 +127,12 @@ def add_goodness(case: Case, measured: Segment, findings: Findings) -> None:
         findings.tell(explained.sentence(), findings.faults)
         show("tests of the residuals")
         poor = explained.is_partial and case.robust != "none"  # and without one, outliers may be the cause
-        said = UNJUDGED if poor else "" if explained.is_coarse else remedy(flow, measured, case.robust)
+        if poor:
+            said = UNJUDGED
+        elif explained.is_coarse:
+            said = ""
+        else:
+            said = diagnosis(flow, measured, case.learned_from, case.robust)
         later = f"if it remains after a longer training: {said}" if said and case.shortfall else said
         findings.tell(later, findings.faults)
     findings.tell(invisible(flow, measured, case.noise), findings.highlights)
