@@ -216,7 +216,7 @@ class WindowDataModule(LightningDataModule):
         segments = self._cut[intervals]
         if intervals is not None and segments.intervals < intervals and intervals not in self._too_long:
             self._too_long.add(intervals)
-            what = "loss.stages: no trajectory has %d intervals; that stage fits full trajectories (%d)"
+            what = "loss.stages: no trajectory has %d intervals (at most %d): that stage fits full ones"
             log.info(what, intervals, segments.intervals)
         asked = self.stages.segments_per_step(epoch, self.epochs) or self.batch_size
         return segments, asked if intervals is None else min(asked, segments.covering)

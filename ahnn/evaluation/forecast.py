@@ -82,11 +82,10 @@ class Forecast(NamedTuple):
 
     def sentence(self) -> str:
         """Return the finding as a note under the table."""
-        count = self.trajectories - self.lost
         text = (
-            f"forecasts of the second half of {count} unseen {'trajectory' if count == 1 else 'trajectories'} "
-            f"from the first half: bands of 1, 2 and 3 standard deviations, rms {self.width:.3g} times the noise, "
-            f"contain {percent(self.coverage)} % of the measured values"
+            f"forecasts of second halves of unseen trajectories ({self.trajectories - self.lost}) from first "
+            f"halves: bands of 1, 2 and 3 standard deviations, rms {self.width:.3g} times the noise, contain "
+            f"{percent(self.coverage)} % of the measured values"
         )
         if self.states is not None:
             text += (
@@ -101,8 +100,9 @@ class Forecast(NamedTuple):
     def verdict(self) -> str:
         """Return the coverage of the bands, for the verdict."""
         return (
-            f"bands: {100 * self.coverage[1]:.3g} % of unseen measurements{if_few(self.trajectories - self.lost)} lie "
-            f"within 2 standard deviations of their forecast ({100 * NORMAL[1]:.3g} % if the bands are right)"
+            f"bands: {100 * self.coverage[1]:.3g} % of unseen measurements"
+            f"{if_few(self.trajectories - self.lost)} lie within 2 standard deviations of their forecast "
+            f"({100 * NORMAL[1]:.3g} % if the bands are right)"
         )
 
     def numbers(self) -> dict[str, Any]:

@@ -87,9 +87,9 @@ class Explained(NamedTuple):
         low, high = self.band
         digits = max(1, math.ceil(-math.log10(max(high - low, 1e-9) / 2))) if high > low else 1
         text = (
-            f"residuals of unseen measurements{if_few(self.trajectories)} have {self.chi_square:#.4g} times the noise variance "
-            f"({low:.{digits}f} to {high:.{digits}f} if the model is right), and successive residuals "
-            f"correlate by {self.correlation:+.1g}"
+            f"residuals of unseen measurements{if_few(self.trajectories)} have "
+            f"{self.chi_square:#.4g} times the noise variance ({low:.{digits}f} to {high:.{digits}f} if the "
+            f"model is right), and successive residuals correlate by {self.correlation:+.1g}"
         )
         text += f"; {in_percent(self.outliers)} excluded as outliers" if self.outliers else ""
         text += f"; {self.lost} of {self.trajectories} trajectories not fitted" if self.lost else ""

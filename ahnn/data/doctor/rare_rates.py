@@ -25,8 +25,12 @@ def missing_rates(content: Content, rare: Sequence[int]) -> Iterator[Finding]:
     values, n = np.concatenate([track.values for track in content.tracks]), len(content.positions)
     known = values[np.isfinite(values[:, :n]).all(1)]
     for c in rare:
-        name = content.rates[c - n]
-        what = f"missing in {np.isnan(known[:, c]).sum():,} of {len(known):,} rows with positions"
+        name, count = content.rates[c - n], int(np.isnan(known[:, c]).sum())
+        if count == len(known):
+            remedy = f"Leave out column {name}"
+            yield Finding("fault", content.tracks[0].file, content.head, name, "an empty column", remedy)
+            continue
+        what = f"missing in {count:,} of {len(known):,} rows with positions"
         remedy = (
             "With data.noise, the positions of these rows are used; training on exact states ignores the "
             f"rows: leave out column {name} to use them"

@@ -12,7 +12,7 @@ from ahnn.data.doctor.rare_rates import missing_rates, rarely_measured
 from ahnn.data.doctor.slopes import interpolated
 from ahnn.data.doctor.spans import spelled_span
 from ahnn.data.files.content import Content
-from ahnn.data.files.samples import Track, filled, stacked
+from ahnn.data.files.samples import Track, filled, stacked, steps_in_medians
 from ahnn.data.files.table import Fault
 from ahnn.data.files.units import ANGLE, unit
 from ahnn.data.noise_floor import ORDERS, SHARE, differences_level, looked_at, noise_floor
@@ -80,11 +80,15 @@ def gaps(track: Track, column: str, gap: float, base: str = "1") -> Iterator[Fin
         yield Finding.of(fault)
         return
     there = np.flatnonzero(whole.rows)
+    if len(there) == len(whole.rows):
+        return
+    ratio, on_grid = steps_in_medians(track.times)
     for k in np.flatnonzero(np.diff(there) > 1):
         absent = int(there[k + 1] - there[k] - 1)
         span, row = float(np.diff(whole.times[there[[k, k + 1]]])[0]), int(whole.rows[there[k + 1]])
-        samples = "sample is" if absent == 1 else "samples are"
-        what = f"a gap of {spelled_span(span, base)}: {absent} {samples} missing before this one"
+        samples = f"{absent} sample{' is' if absent == 1 else 's are'} missing before this one"
+        size = samples if on_grid else f"{ratio[k]:.0f} times the median step before this sample"
+        what = f"a gap of {spelled_span(span, base)}: {size}"
         remedy = "Nothing to do: no window crosses it"
         yield Finding("warning", track.file, row, column, what, remedy, span)
 
@@ -240,7 +244,8 @@ def noise(content: Content, names: tuple[str, ...], gap: float) -> Iterator[Find
     rare = (plateau > SHARE * typical) & found.isnan()
     for c, (name, level, step) in enumerate(zip(names, found.tolist(), typical.tolist(), strict=True)):
         if level > SHARE * step > 0:
-            remedy = "Set it: sensor=recorded data.noise=..."
+            alone = len(names) == len(content.positions)
+            remedy = f"Train with data.noise={f'{level:.2g}' if alone else 'estimate'}"
             what = f"noise of about {of_column(content, c, level)}"
             yield Finding("note", file, content.head, name, what, remedy)
     if bool(rare.any()):

@@ -110,7 +110,8 @@ class Recordings(ABC):
             if not len(trimmed(track).times):
                 place = Place(track.file, int(track.rows[0]) if len(track.rows) else 0)
                 named = " ".join(("a trajectory", *filter(None, [track.name])))
-                place.refuse(f"{named} with a complete sample", "missing values in each sample")
+                remedy = "Leave out a column that is empty"
+                place.refuse(f"{named} with a complete sample", "missing values in each sample", remedy)
         parts = [trimmed(part) for track in tracks for part in cut(track, self.cut)]
         parts = [part for part in parts if len(part.times)]
         factor = np.ones(2 * dof)

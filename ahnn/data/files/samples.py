@@ -126,11 +126,8 @@ def filled(track: Track, gap: float, *, linear: bool = False) -> Track:
     """
     if len(track.times) < 3:
         return track
-    steps = np.diff(track.times)
-    ratio = steps / np.median(steps)
-    whole = np.round(ratio)
-    on_grid = bool((np.abs(ratio - whole) <= ON_GRID * whole).all())
-    counts = np.where(ratio > (1.5 if on_grid else gap), whole, 1.0)
+    ratio, on_grid = steps_in_medians(track.times)
+    counts = np.where(ratio > (1.5 if on_grid else gap), np.round(ratio), 1.0)
     if not counts.sum() <= FILL * len(track.times):
         k = int(counts.argmax())
         Place(track.file, int(track.rows[k + 1])).refuse(
@@ -150,6 +147,14 @@ def filled(track: Track, gap: float, *, linear: bool = False) -> Track:
     elif controls is not None:
         controls = controls[np.searchsorted(ends, np.arange(len(times)), side="right") - 1]
     return track._replace(rows=rows, times=times, values=values, controls=controls)
+
+
+def steps_in_medians(times: Array) -> tuple[Array, bool]:
+    """Return the steps of times (T,) divided by their median, and whether all are about whole numbers."""
+    steps = np.diff(times)
+    ratio = steps / np.median(steps)
+    whole = np.round(ratio)
+    return ratio, bool((np.abs(ratio - whole) <= ON_GRID * whole).all())
 
 
 def cut(track: Track, samples: int | None) -> list[Track]:

@@ -179,3 +179,29 @@ def test_files_of_other_columns_are_named_beside_the_first(tmp_path):
     found = examine([tmp_path / f"{name}.csv" for name in "abc"], FileReading()).findings
     assert [(one.level, one.file, one.row) for one in found] == [("fault", str(tmp_path / "b.csv"), 1)]
     assert found[0].what == f"expected the same units as in {tmp_path / 'a.csv'}; received different ones"
+
+
+def test_a_gap_of_irregular_times_counts_no_samples():
+    times = np.cumsum([0.1, 0.13, 0.08, 0.1, 0.11, 1.4, 0.09, 0.1, 0.12])
+    (one,) = gaps(track(np.sin(times), times), "t", 10.0, "s")
+    assert one.what == "a gap of 1.4 s: 13 times the median step before this sample"
+    assert one.row == 7
+
+
+def test_an_empty_column_of_rates_is_a_fault():
+    values = np.stack((np.sin(np.arange(30.0)), np.full(30, np.nan)), axis=1)
+    found = [*sample_findings(content(track(values), rates=("v",)), 10.0)]
+    ((level, column, what, remedy),) = [
+        (f.level, f.column, f.what, f.remedy) for f in found if f.column == "v"
+    ]
+    assert (level, column, what, remedy) == ("fault", "v", "an empty column", "Leave out column v")
+
+
+@pytest.mark.parametrize(("rates", "said"), [((), "data.noise=0.0"), (("v",), "data.noise=estimate")])
+def test_the_noise_that_is_found_is_an_option(rates, said):
+    times, draw = 0.1 * np.arange(400), np.random.default_rng(0)
+    values = np.stack((np.sin(times), np.cos(times)), axis=1)[:, : 1 + len(rates)]
+    (found, *_) = noise(
+        content(track(values + draw.normal(0, 0.02, values.shape), times), rates=rates), ("q", *rates), 10
+    )
+    assert found.remedy.startswith(f"Train with {said}")
