@@ -124,7 +124,7 @@ class MemberUpdates:
         model = measured_at(self.models.seen[name], times)
         noise = self._noise(name, deviations)
         after, innovation = self.models.process.estimator.update(before, y, model, noise)
-        if bool((lost := self.models.beyond_patience(after, innovation)).any()):
+        if bool((lost := self.models.beyond_patience(after, innovation, y)).any()):
             own_noise = self._noise(name, deviations[lost])
             part = y[lost], measured_at(self.models.seen[name], times[lost]), own_noise
             wide, found, opened = self.models.reopened(member_rows(before, lost), *part, given[3][lost])

@@ -260,7 +260,7 @@ class Assimilation:
         y = torch.tensor([reading.values], dtype=torch.float64)
         state, innovation = self.process.estimator.update(before, y, model, factor)
         opened = False
-        if bool(self.models.beyond_patience(state, innovation)):
+        if bool(self.models.beyond_patience(state, innovation, y)):
             wide, updated, taken = self.models.reopened(before, y, model, factor, self.spread)
             if opened := bool(taken):
                 state, innovation = wide, updated

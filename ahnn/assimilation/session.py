@@ -17,7 +17,7 @@ from ahnn.assimilation.online import Assimilation, Diverged
 from ahnn.assimilation.skipped_lines import SAID, SkippedLines
 from ahnn.assimilation.stream_estimate import Estimate
 from ahnn.assimilation.stream_session import StreamSession
-from ahnn.assimilation.stream_tally import GATED
+from ahnn.assimilation.stream_tally import GATED, after, capitalised
 from ahnn.assimilation.table_parser import TableParser
 from ahnn.errors import TrainingError
 
@@ -156,7 +156,7 @@ class Session(StreamSession):
             return
         except Diverged as error:
             message = f"line {number}: {error}. Start over with a different start, or with larger noise"
-            raise TrainingError(message) from error
+            raise TrainingError(message + after(". ", capitalised(self.ratios.sentence()))) from error
         for reading, estimate in zip(readings, estimates, strict=False):
             number = lines.popleft().number
             if estimate.innovation is not None:
@@ -196,8 +196,15 @@ class Session(StreamSession):
                 log.info("line %d: %s rejected, NIS %.3g for %d values%s", *values, rest)
         elif estimate.outcome == "reopened":
             words = "reopened the gate after consecutive rejections; the covariance was enlarged"
-            self.ratios.close(reading.sensor or next(iter(self.filter.sensors)))
+            name = reading.sensor or next(iter(self.filter.sensors))
+            self.ratios.close(name)
             log.info("line %d: %s %s", number, label, words)
+            if suspicion := self.ratios.sentence(name):
+                message = (
+                    f"line {number}: expected measurements near the estimates; received consecutive ones far "
+                    f"from them. {capitalised(suspicion)}"
+                )
+                raise TrainingError(message)
 
     def _said(self, time: float) -> str:
         """Return a time for messages."""

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from ahnn.assimilation.stream_identity import identity
 from ahnn.assimilation.stream_sensor import StreamSensor, plain
+from ahnn.assimilation.unit_mistakes import in_wrong_unit
 from ahnn.estimation import EstimatorState, Gate, Innovation, Status
 from ahnn.estimation.covariances import Covariance
 from ahnn.estimation.member_filter import MemberFilter
@@ -78,12 +79,16 @@ class StreamModels:
         usual, _ = self.process.estimator.update(before, y, model, noise)
         return suspect & ~_lost(usual)
 
-    def beyond_patience(self, state: EstimatorState, innovation: Innovation) -> Tensor:
-        """Return the members, (B,) bool, whose gate has rejected `patience` or more consecutive readings."""
+    def beyond_patience(self, state: EstimatorState, innovation: Innovation, y: Tensor) -> Tensor:
+        """Return the members, (B,) bool, whose gate has rejected `patience` or more consecutive readings.
+
+        Readings y (B, M) in a wrong unit do not count: a wider belief would follow them.
+        """
         gate: Gate | None = getattr(self.process.estimator, "gate", None)
         if gate is None or not gate.reopens:
             return torch.zeros_like(innovation.rejected)
-        return innovation.rejected & (cast(MemberState, state).rejections >= gate.patience)
+        many = cast(MemberState, state).rejections >= gate.patience
+        return innovation.rejected & many & ~in_wrong_unit(y, y - innovation.residual)
 
     def reopened(
         self, before: EstimatorState, y: Tensor, model: Measurement, noise: Covariance, spread: Tensor

@@ -90,13 +90,14 @@ class StreamTally:
             return ""
         count = "once" if opened == 1 else f"{opened:,} times"
         times = f", and reopened {count} after too many consecutive rejections" if opened else ""
+        times += after("; ", self.ratios.sentence()) if opened else ""
         return f"; the gate rejected {100 * fraction:.2g} % of the measurements{times}"
 
     def of_sensors(self) -> list[str]:
         """Return a remark on each of several sensors of which most lines were rejected."""
         return [
             f"{refused:,} of {self.gated[name]:,} lines of {name} were rejected: check its coordinates, "
-            f"units and noise{_after('; ', self.ratios.sentence(name))}"
+            f"units and noise{after('; ', self.ratios.sentence(name))}"
             for name, refused in self.refused.items()
             if len(self.gated) > 1 and self.gated[name] >= LEAST and 2 * refused > self.gated[name]
         ]
@@ -112,7 +113,7 @@ class StreamTally:
             return
         most, count = max(self.counts.items(), key=lambda item: item[1], default=("none", 0))
         received = f"{count:,} of {self.counts.total():,} {most}" if count else "no line after the header"
-        suspicion = _after(". ", _capitalised(self.ratios.sentence()) if most == "rejected" else "")
+        suspicion = after(". ", capitalised(self.ratios.sentence()) if most == "rejected" else "")
         message = (
             f"measurements: expected at least one usable line; received {received}. {REMEDIES[most]}"
             f"{suspicion}"
@@ -134,14 +135,16 @@ class StreamTally:
         message = (
             f"measurements: expected a filter that follows them; received {received} of {usable:,} lines. "
             f"Check the units, the order of columns and rows, the stations and the start{order}"
-            f"{_after('. ', _capitalised(self.ratios.sentence()))}"
+            f"{after('. ', capitalised(self.ratios.sentence()))}"
         )
         raise TrainingError(message)
 
 
-def _after(before: str, text: str) -> str:
+def after(before: str, text: str) -> str:
+    """Return a text after another one; "" if it is empty."""
     return before + text if text else ""
 
 
-def _capitalised(text: str) -> str:
+def capitalised(text: str) -> str:
+    """Return a text whose first letter is a capital."""
     return text[:1].upper() + text[1:]

@@ -7,7 +7,9 @@ from collections.abc import Sequence
 from statistics import median
 
 import numpy as np
+import torch
 from numpy.typing import ArrayLike
+from torch import Tensor
 
 KEPT = 200
 """Maximum number of ratios kept for each measured value."""
@@ -38,6 +40,17 @@ def steep_elevation(name: str, value: float, unit: str, scale: float) -> str:
     other = name.removesuffix(ELEVATION) + AZIMUTH
     received = f"{math.pi / 2 / scale:g} {unit}; received {value / scale:g} {unit}"
     return f"{message}{received}. The columns {other} and {name} may be exchanged"
+
+
+def in_wrong_unit(measured: Tensor, predicted: Tensor) -> Tensor:
+    """Return whether readings (B, M) are predictions with some components times 1000 or 1/1000, (B,) bool.
+
+    These are most of the components, or all that are not as predicted. Missing components are NaN.
+    """
+    missing, power = measured.isnan(), (measured / predicted).abs().log10()
+    wrong = torch.stack([(power - factor).abs() < NEAR for factor in FACTORS]).any(0)
+    most = 2 * wrong.sum(-1) > (~missing).sum(-1)
+    return most | (wrong.any(-1) & (wrong | missing | (power.abs() < NEAR)).all(-1))
 
 
 class RejectedRatios:

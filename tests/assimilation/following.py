@@ -29,9 +29,9 @@ def coast(x, dt):
     return torch.stack((x[:, 0] + dt * x[:, 1], x[:, 1]), dim=-1)
 
 
-def make(gate=None, **options):
+def make(gate=None, mean=MEAN, **options):
     process = online_process(UnscentedKalmanFilter(gate=gate), coast, STEP, Q)
-    return Assimilation(process, SENSORS, initial_belief([MEAN], P0), **options)
+    return Assimilation(process, SENSORS, initial_belief([mean], P0), **options)
 
 
 def readings(count, seed=0):

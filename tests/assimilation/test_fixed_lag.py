@@ -80,7 +80,7 @@ def test_late_readings_count_for_what_is_smoothed_and_a_state_goes_on_bit_for_bi
 
 def test_nothing_is_smoothed_over_a_gate_that_reopened():
     filtering = make(ExtendedKalmanFilter(Gate(0.999999, 2, reopens=True)), flow=coast, lag=1.0)
-    told = [filtering.update(Reading(0.5 * k, (900.0 if k > 4 else 1.0,))) for k in range(1, 12)]
+    told = [filtering.update(Reading(0.5 * k, (90.0 if k > 4 else 1.0,))) for k in range(1, 12)]
     opened = [one.outcome for one in told].index("reopened")
     assert told[opened - 1].smoothed is not None
     assert [one.smoothed is None for one in told[opened:]][:3] == [True, True, False]

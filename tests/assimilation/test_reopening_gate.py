@@ -9,6 +9,8 @@ from fleet import fleet, table
 from following import MEAN, P0, SENSORS, STEP, Q, coast, make, session
 
 from ahnn.assimilation import Assimilation, Reading
+from ahnn.assimilation.unit_mistakes import in_wrong_unit
+from ahnn.errors import TrainingError
 from ahnn.estimation import Gate, initial_belief
 from ahnn.estimation.online import online_process
 from ahnn.estimation.reopening import widened
@@ -156,3 +158,37 @@ def test_a_stream_says_it_and_goes_on_bit_for_bit_from_the_middle_of_the_refusal
     for end in (24, 25, 26, 41):  # before, within and behind
         session("\n".join(lines[:end]) + "\n", parts, tmp_path / "state", every=1, gate=GATE).run()
     assert parts.read_bytes() == whole.read_bytes()
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e-3])
+def test_values_in_a_wrong_unit_open_nothing(tmp_path, factor):
+    right = fixes(200.0 + 0.3 * TIMES)
+    wrong = [one._replace(values=(factor * one.values[0],)) for one in right[8:]]
+    far = {"gate": GATE, "mean": [200.0, 0.3]}
+    told = outcomes(make(**far), [*right[:8], *wrong])
+    assert told == ["taken"] * 8 + ["rejected"] * 32
+    lines = ["time,sensor,q,p", *(f"{one.time!r},ruler,{one.values[0]!r}," for one in [*right[:8], *wrong])]
+    whole = session("\n".join(lines) + "\n", tmp_path / "a.csv", **far)
+    whole.run()
+    with pytest.raises(TrainingError, match=r"about \S*1000 times the predicted value: is the unit right"):
+        whole.require_followed()
+    lines[30] = "15.0,ruler,5e4,"  # no such factor
+    with pytest.raises(TrainingError, match=r"line 31: expected measurements near the estimates.*unit right"):
+        session("\n".join(lines) + "\n", tmp_path / "b.csv", **far).run()
+
+
+def test_a_wrong_unit_is_that_of_most_components_or_of_all_that_differ():
+    predicted = torch.tensor([[2.0, -3.0, 1e-6]], dtype=torch.float64)
+    nan = torch.nan
+    for factors, expected in (
+        ([1e3, 1.1e3, 0.9e3], True),
+        ([1e-3, 1e-3, 40.0], True),  # one near zero
+        ([1e3, 1.0, 1.0], True),  # a range with its angles
+        ([1e3, 5.0, 1.0], False),
+        ([1.0, 1.0, 1.0], False),
+        ([3e3, 3e3, 3e3], False),
+        ([1e3, nan, nan], True),
+        ([nan, nan, nan], False),
+    ):
+        measured = predicted * torch.tensor(factors, dtype=torch.float64)
+        assert in_wrong_unit(measured, predicted).tolist() == [expected], factors
