@@ -56,10 +56,30 @@ def progress_bar(*columns: TextColumn) -> Progress:
     )
 
 
-def track(items: Iterable[T], description: str, total: int) -> Iterator[T]:
-    """Yield the items and show their count out of `total` in a progress bar."""
+@contextmanager
+def advancing(description: str, total: int) -> Iterator[Callable[[], None]]:
+    """Yield a function to call after each of `total` parts; in a log, one line every half minute."""
     with progress_bar() as bar:
-        yield from bar.track(items, total=total, description=description)
+        task, began, done = bar.add_task(description, total=total), time.monotonic(), 0
+        due = began + SELDOM
+
+        def advance() -> None:
+            nonlocal due, done
+            done += 1
+            bar.advance(task)
+            if bar.disable and (now := time.monotonic()) >= due:
+                due, left = now + SELDOM, max(total - done, 0) / done * (now - began)
+                log.info("%s: %.0f %%, %s left", description, min(100 * done / total, 100), about(left))
+
+        yield advance
+
+
+def track(items: Iterable[T], description: str, total: int) -> Iterator[T]:
+    """Yield the items and show their count out of `total`; see `advancing`."""
+    with advancing(description, total) as advance:
+        for item in items:
+            yield item
+            advance()
 
 
 @contextmanager

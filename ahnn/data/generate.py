@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ahnn.errors import UserError
 from ahnn.memory import require_memory
-from ahnn.progress import progress_bar
+from ahnn.progress import advancing
 from ahnn.rollouts import stepped
 from ahnn.systems import System
 from ahnn.systems.drawn_states import drawn_states
@@ -47,9 +47,8 @@ def generated(system: System, count: int, seed: int) -> Iterator[Trajectories]:
     times = torch.arange(longest + 1, dtype=torch.float64) * system.dt
     many = rows_of_part(longest + 1, x.shape[1])
     flow, controls = exact_flow(system), system.signal(times, count, generator)
-    with progress_bar() as bar:
-        total = -(-count // many) * longest
-        task = bar.add_task(f"generating {count} trajectories of {system.name}", total=total)
+    total = -(-count // many) * longest
+    with advancing(f"generating {count} trajectories of {system.name}", total) as advance:
         for begin in range(0, count, many):
             now, ends = x[begin : begin + many], steps[begin : begin + many]
             own = None if controls is None else controls[begin : begin + many]
@@ -60,7 +59,7 @@ def generated(system: System, count: int, seed: int) -> Iterator[Trajectories]:
             for k in range(1, longest + 1):
                 now = stepped(flow, now, system.dt, clock and clock.at(k - 1))
                 states[:, k] = now
-                bar.advance(task)
+                advance()
             if begin == 0:
                 require_hamilton(system, states[states.isfinite().all(-1)])
             require_finite(system, states, ends, begin)

@@ -18,7 +18,7 @@ from ahnn.estimation.force_error import ForceError, of_states, smoothed_states
 from ahnn.estimation.parameter_error import ParameterError
 from ahnn.estimation.results import FilterResult
 from ahnn.estimation.scenario import Problem, Setting
-from ahnn.progress import progress_bar
+from ahnn.progress import advancing
 from ahnn.rollouts import clock_of
 from ahnn.types import Flow, TimeStep
 
@@ -122,10 +122,8 @@ def _augments(chosen: Filter, setting: Setting) -> bool:
 @contextmanager
 def shown(flow: Flow, description: str, calls: int) -> Iterator[Flow]:
     """Yield a flow that advances a progress bar at each of its `calls` calls."""
-    with progress_bar() as bar:
-        task = bar.add_task(description, total=calls)
-
-        yield _Shown(flow, lambda: bar.advance(task))
+    with advancing(description, calls) as advance:
+        yield _Shown(flow, advance)
 
 
 class _Shown(NamedTuple):

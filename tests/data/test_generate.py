@@ -9,6 +9,7 @@ import pytest
 import torch
 from helpers import MOLNIYA, SPRING, SYSTEMS, data_module
 
+from ahnn import progress
 from ahnn.data import generate as room
 from ahnn.data.generate import generate
 from ahnn.errors import UserError
@@ -60,7 +61,8 @@ def test_the_bar_is_full_when_all_is_generated(rows, monkeypatch):
     bar, told = MagicMock(), []
     bar.__enter__.return_value = bar
     bar.add_task.side_effect = lambda _, total: told.append(total)
-    monkeypatch.setattr(room, "progress_bar", lambda: bar)
+    monkeypatch.setattr(progress, "progress_bar", lambda: bar)
+    bar.disable = False
     monkeypatch.setattr(room, "rows_of_part", lambda *_: rows)
     parts = [*room.generated(dataclasses.replace(SPRING, steps=12), 8, 0)]
     assert sum(len(part.states) for part in parts) == 8
