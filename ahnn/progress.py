@@ -20,8 +20,8 @@ from rich.progress import (
 )
 
 T = TypeVar("T")
-SELDOM = 30.0
-"""Seconds between log lines of a stage."""
+SELDOM, OFTEN = 30.0, 10.0
+"""Seconds between log lines of a stage, and of a task with a known number of parts."""
 log = logging.getLogger("ahnn")
 _note: ContextVar[Callable[[str], None] | None] = ContextVar("note", default=None)
 _step: ContextVar[str] = ContextVar("step", default="")
@@ -58,17 +58,17 @@ def progress_bar(*columns: TextColumn) -> Progress:
 
 @contextmanager
 def advancing(description: str, total: int) -> Iterator[Callable[[], None]]:
-    """Yield a function to call after each of `total` parts; in a log, one line every half minute."""
+    """Yield a function to call after each of `total` parts; in a log, a line every ten seconds."""
     with progress_bar() as bar:
         task, began, done = bar.add_task(description, total=total), time.monotonic(), 0
-        due = began + SELDOM
+        due = began + OFTEN
 
         def advance() -> None:
             nonlocal due, done
             done += 1
             bar.advance(task)
             if bar.disable and (now := time.monotonic()) >= due:
-                due, left = now + SELDOM, max(total - done, 0) / done * (now - began)
+                due, left = now + OFTEN, max(total - done, 0) / done * (now - began)
                 log.info("%s: %.0f %%, %s left", description, min(100 * done / total, 100), about(left))
 
         yield advance

@@ -66,7 +66,8 @@ def evaluate(asked: Reevaluation) -> None:
     known: dict[str, Any] = {**training, "val_loss": run.about.get("val_loss"), **about}
     with evaluation_folder(asked.folder, asked.name) as folder:
         case = make_case(run.dynamics, splits, folder=folder, **named, **learned)
-        log.info("evaluating %s on %d trajectories of %s", asked.label, len(case.test.states), case.space.name)
+        name, count = case.space.name, len(case.test.states)
+        log.info("evaluating %s on %d trajectories of %s", asked.label, count, name)
         boards = [TensorBoardSink(EventBoard(folder), about)] if asked.report["figures"] else []
         report(case, asked.plugins, known, more=boards, **asked.report)
 
