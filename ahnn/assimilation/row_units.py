@@ -9,6 +9,9 @@ from ahnn.data.estimate_table import COVARIANCE, DEVIATION, INNOVATION
 from ahnn.data.files.sidecar import Sidecar
 from ahnn.data.files.units import product
 
+NUMBERS = "nis", "dof", "replayed", "novelty", "probability"
+"""Columns of pure numbers."""
+
 
 def with_row_units(
     said: Sidecar, components: tuple[str, ...], sensors: Mapping[str, StreamSensor], written: Iterable[str]
@@ -30,5 +33,6 @@ def with_row_units(
     for name, unit in own.items():
         found |= {f"lag_{name}": unit, f"lag_sd_{name}": unit}
     found["lag_time"] = said.units.get("time", "")
+    found |= dict.fromkeys(NUMBERS, "1")
     units = {name: found[name] for name in written if found.get(name)}
     return said._replace(units={**said.units, **units})

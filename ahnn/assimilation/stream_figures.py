@@ -15,6 +15,8 @@ from ahnn.evaluation import style
 from ahnn.labels import headed
 from ahnn.types import Space
 
+MOST, MARGIN = 0.98, 1.5
+"""Fraction of the accepted innovations within an axis divided by the margin; triangles mark those beyond."""
 AVERAGED = 50
 """Number of readings in a moving mean of the NIS."""
 COLORS = (style.VERMILLION, style.BLUE, style.GREEN, style.PURPLE, style.ORANGE, style.BLACK)
@@ -57,12 +59,17 @@ def innovations(record: AssimilationRecord, space: Space, units: Mapping[str, st
         axes.axhline(0, color=style.BLACK, lw=0.6)
         taken = ~refused[there]
         limit = 2.0 * float(np.median(wide)) if len(t) else 1.0
-        limit = max(limit, float(np.abs(value[taken]).max(initial=0.0)))  # without the outliers
+        if taken.any():  # the first innovations, with the uncertainty of the start, would hide all others
+            limit = max(limit, MARGIN * float(np.quantile(np.abs(value[taken]), MOST)))
         several = len(sensors) > 1
         for sensor, color in zip(sensors, cycle(COLORS), strict=False):
             own = taken & (record.sensor[there] == sensor)
             look = {"color": color, "ms": 3, "ls": "none", "label": sensor if several else "innovation"}
             axes.plot(t[own], value[own], ".", **look)
+            for sign, mark in ((1, "^"), (-1, "v")):
+                if (beyond := own & (sign * value > limit)).any():
+                    at, look = np.full(beyond.sum(), sign * limit), {"ms": 4, "ls": "none"}
+                    axes.plot(t[beyond], at, mark, color=color, label="beyond the axis", **look)
         for far, mark, label in (
             (np.abs(value) <= limit, "x", "rejected"),
             (value > limit, "^", "rejected, above the axis"),
@@ -91,9 +98,9 @@ def consistency(record: AssimilationRecord, space: Space) -> Figure:
         limits = np.array([band(total, 1) for total in sorted({*dof})])
         where = np.searchsorted(sorted({*dof}), dof)
         t = time[taken][count - 1 :]
-        low, high = limits[where].T / dof
+        t, low, high, mean = style.parted(t, *(limits[where].T / dof), nis / dof)
         axes.fill_between(t, low, high, color=style.BAND, alpha=0.5, lw=0, label="95 % band")
-        axes.plot(t, nis / dof, **style.MODEL, label=f"mean of {count} readings")
+        axes.plot(t, mean, **style.MODEL, label=f"mean of {count} readings")
     axes.axhline(1, color=style.BLACK, lw=0.6)
     axes.set_ylabel("NIS / number of values")
     axes.set_xlabel(f"time [{unit}]")
@@ -110,7 +117,7 @@ def deviations(record: AssimilationRecord, space: Space) -> Figure:
     variance = np.diagonal(record.covariance, axis1=1, axis2=2)
     parts = variance[:, : space.dof], variance[:, space.dof :] / np.square(space.divisor)
     for axes, part, name in zip(panels, parts, style.NAMES, strict=True):
-        axes.plot(time, np.sqrt(part.sum(1)), **(style.MODEL | {"lw": 1.2}))
+        axes.plot(*style.parted(time, np.sqrt(part.sum(1))), **(style.MODEL | {"lw": 1.2}))
         axes.set_ylabel(f"σ of {headed(space, name)}")
         style.logarithmic(axes, 0)
     panels[0].set_title(f"{space.name}: filter standard deviations")

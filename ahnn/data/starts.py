@@ -216,7 +216,9 @@ def of_files(path: Path, space: Space, *, last: bool, weighed: bool) -> Starts:
             one._replace(id=number.id) for one, number in zip(objects, numbered(len(objects)), strict=True)
         )
     found = Starts(objects, chosen, moments, reference)
-    if second is None and (count := times.shape[1]) > 1:
+    if second is not None:
+        log.info("start %s: states of SGP4 at the epochs, accurate to kilometres (start_sd=)", path)
+    elif (count := times.shape[1]) > 1:
         which, at = "last" if last else "first", found.first_time(space.units.time)
         whose = f"of {count} states" if len(objects) == 1 else f"state of each of {len(objects)} trajectories"
         log.info("start %s: the %s %s, %s", path, which, whose, at)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from ahnn.evaluation.terminal import show
 from ahnn.files import require_writable
 from ahnn.jobs.tracking_checking import tracking_check
 
+log = logging.getLogger(__name__)
 PROPAGATED: dict[str, Any] = {"step": 60.0, "duration": 86400.0}
 """Default sampling of the orbits of element sets, in seconds."""
 
@@ -32,9 +34,13 @@ def check(paths: Sequence[Path], figures: Path | None, options: dict[str, Any]) 
     Raises:
         UserError: a defect that would spoil the training, or tracking data that cannot be read.
     """
-    if figures is not None:
-        require_writable(figures)
     tracking = [path for path in paths if is_tracking(path)]
+    if figures is not None and len(tracking) < len(paths):
+        require_writable(figures)
+    if figures is not None and tracking:
+        log.warning(
+            "figures: trajectories are drawn, but no tracking data: %s", ", ".join(map(str, tracking))
+        )
     faults = 0
     for path in tracking:
         findings, shown = tracking_check(path)

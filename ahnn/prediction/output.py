@@ -111,6 +111,9 @@ def write(
         if len(places) > 1:
             log.info("output: %d messages, one for each object, such as %s", len(places), next(iter(places)))
         return
+    if starts.reference.epoch is not None:
+        zero = starts.reference.spelled()
+        remarks = [*remarks, f"t is counted from {zero} {starts.reference.clock}".rstrip()]
     found = columns(prediction, starts, space, correlated=correlated)
     write_atomically(path, as_csv(found) if suffix == ".csv" else as_parquet(found))
     sidecar.write(path, described(starts, space), remarks)

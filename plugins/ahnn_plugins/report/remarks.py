@@ -70,7 +70,7 @@ def _filters(board: Board) -> Iterator[str]:
     if not any(rows):
         later = any((entry.folder / "evaluations").is_dir() for entry in entries)
         rest = " Evaluations after the training (evaluations/) are not part of the report." if later else ""
-        yield f"No training was evaluated with a filter (plugins=ukf).{rest}"
+        yield f"No training was evaluated with a filter (plugins=ukf, for simulated systems).{rest}"
     elif not all(rows):
         yield f"{rows.count(False)} of {len(rows)} runs were not evaluated with a filter."
 
