@@ -164,7 +164,7 @@ def test_missing_models_filters_seeds_and_unequal_runs_are_said(tmp_path):
         f"1 runs have no results, and are not in this report: {tmp_path / 'd'}."
     ]
     alone = collect([tmp_path / "a" / "HNN_7"])
-    )
+    assert any("with a filter (plugins=ukf, for simul" in one for one in remarks(board(alone, "mass_spring")))
     (tmp_path / "a" / "HNN_7" / "evaluations").mkdir()
     (later,) = [one for one in remarks(board(alone, "mass_spring")) if "with a filter" in one]
     assert later.endswith("Evaluations after the training (evaluations/) are not part of the report.")
