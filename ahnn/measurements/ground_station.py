@@ -1,6 +1,6 @@
 """Ground station observing a satellite with state [position, momentum] in an inertial frame.
 
-Refraction and polar motion are not modelled. Light time is modelled if times tag reception or transmission.
+Refraction is not modelled. Light time is modelled if times tag reception or transmission.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class GroundStation(Differing):
         range_rate: whether to measure the range-rate.
         earth_angle: angle of the Greenwich meridian from the inertial x axis at t = 0, rad; None for 0. Or
             the (3, 3) matrix from the inertial axes to the Earth's axes at t = 0; the Earth rotates about its
-            z axis. `DailyAxes` add precession and nutation (`ahnn.tracking.earth_axes`).
+            z axis. `DailyAxes` add precession, nutation and polar motion (`ahnn.tracking.earth_axes`).
         rotation_rate: rotation rate of the Earth, rad/s.
         radius: equatorial radius, km.
         flattening: flattening of the ellipsoid; 0 for a sphere.
@@ -154,6 +154,10 @@ class GroundStation(Differing):
         axes, drift = torch.stack((east, north, up), -1), self.rotation_rate * self.equatorial * east
         if self.axes is None:
             return site, axes, drift
+        if self.axes.pole is not None:
+            tilt = self.axes.tilt(angle - self.longitude, t, like)
+            site = site + torch.linalg.cross(tilt, site)
+            axes = axes + torch.linalg.cross(tilt.unsqueeze(-1), axes, dim=-2)
         earth = self.axes.at(t, like)
         site, drift = (torch.stack((site, drift), -2) @ earth).unbind(-2)
         return site, earth.mT @ axes, drift

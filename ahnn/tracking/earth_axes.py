@@ -17,7 +17,7 @@ from ahnn.errors import UserError
 from ahnn.measurements import DailyAxes
 from ahnn.measurements.ground_station import EARTH_RATE
 from ahnn.optional_libraries import library
-from ahnn.tracking.earth_rotation import MJD_2000
+from ahnn.tracking.earth_rotation import ARCSECOND, MJD_2000
 from ahnn.tracking.formats.finals import installed_orientation
 
 log = logging.getLogger("ahnn")
@@ -32,10 +32,10 @@ def earth_axes(reference: Reference | str) -> float | DailyAxes:
 
     For EME2000 and GCRF these are daily matrices from the frame to the Earth's axes by IAU 2006/2000B (within
     1e-8 rad of 2006/2000A; IERS Conventions 2010, 5.4), for TEME of date by the sidereal time of 1982. UT1
-    comes from the package astropy-iers-data; before its first day UT1 = UTC, and after its last one UT1 keeps
-    its offset from atomic time. Linear interpolation adds up to 3e-8 rad. Polar motion (2e-6 rad) is
-    neglected. For other frames it is the Earth's rotation angle about the z axis, which is exact in CIRS, the
-    true equator of date.
+    and the pole come from the package astropy-iers-data; before its first day UT1 = UTC, after its last one
+    UT1 keeps its offset from atomic time, and the pole is that of the nearest day. Linear interpolation adds
+    up to 3e-8 rad. For other frames it is the Earth's rotation angle about the z axis, which in CIRS, the
+    true equator of date, neglects UT1 and the pole.
 
     Args:
         reference: frame and epoch, or their text.
@@ -71,7 +71,7 @@ def daily_axes(frame: str, moment: int) -> DailyAxes:
         celestial = erfa.c2ixys(x, y, erfa.s06(*tt, x, y)) @ rotations(tt[:, :1], frame, "GCRF")[0]
         angles = erfa.era00(JULIAN, ut1)
     matrices = erfa.rz(angles - EARTH_RATE * times, np.eye(3)) @ celestial
-    return DailyAxes(torch.from_numpy(matrices), float(times[0]), float(DAY))
+    return DailyAxes(torch.from_numpy(matrices), float(times[0]), float(DAY), pole_of(moment, times))
 
 
 def ut1_of(moment: int, times: Array) -> Array:
@@ -87,3 +87,14 @@ def ut1_of(moment: int, times: Array) -> Array:
     found = np.interp(seconds / DAY, days, offsets)
     found[: len(before)] = before
     return seconds + found
+
+
+def pole_of(moment: int, times: Array) -> torch.Tensor | None:
+    """Return the coordinates x and y of the pole in rad, (T, 2), likewise; None if they are not installed."""
+    try:
+        rows = installed_orientation()
+    except UserError:
+        return None
+    days = (moment / SECOND + times) / DAY
+    found = [np.interp(days, rows.mjd - MJD_2000, one) for one in (rows.x, rows.y)]
+    return torch.from_numpy(ARCSECOND * np.column_stack(found))

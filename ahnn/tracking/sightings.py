@@ -1,7 +1,7 @@
 """Data source for training on station measurements: files of ranges, angles and range rates of satellites.
 
 States refer to the true equator of the first day (CIRS of that day), about whose pole the Earth is symmetric.
-Stations move with precession, nutation and UT1; polar motion and refraction are not modelled.
+Stations move with precession, nutation, UT1 and polar motion; refraction is not modelled.
 """
 
 from __future__ import annotations

@@ -27,16 +27,25 @@ def test_stations_follow_precession_and_nutation(frame):
     ut1 = module.ut1_of(NOON, TIMES) - 86400 * 8826.5  # since noon
     assert np.abs(ut1 - TIMES).max() < 1.0  # no leap second in these days
     tt, ut1 = (2460371.0, (TIMES + 69.184) / 86400), (2460371.0, ut1 / 86400)
-    expected = erfa.c2t06a(*tt, *ut1, 0.0, 0.0)
+    pole = module.pole_of(NOON, TIMES).numpy().T
+    assert 2e-7 < np.abs(pole).max() < 3e-6
+    expected = erfa.c2t06a(*tt, *ut1, *pole)
     if frame == "EME2000":
         expected = expected @ erfa.bp00(2460371.0, 0.0)[0].T
     if frame.startswith("CIRS of"):
         expected = expected @ erfa.c2i06a(2460341.5, 69.184 / 86400).T
     if frame == "TEME":
-        expected = erfa.rz(erfa.gmst82(*ut1), np.eye(3))
+        expected = erfa.pom00(*pole, 0.0) @ erfa.rz(erfa.gmst82(*ut1), np.eye(3))
     site = erfa.gd2gc(1, *np.radians([-52.65, 5.15]), 20.0) / 1e3
+    phi, lam = np.radians([5.15, -52.65])
+    east = np.array([-math.sin(lam), math.cos(lam), 0.0])
+    up = np.array([math.cos(phi) * math.cos(lam), math.cos(phi) * math.sin(lam), math.sin(phi)])
     for k, t in enumerate(TIMES):
-        assert np.linalg.norm(station._frame(LIKE, t)[0].numpy() - expected[k].T @ site) < 5e-4  # km
+        found, axes, drift = (one.numpy() for one in station._frame(LIKE, t))
+        assert np.linalg.norm(found - expected[k].T @ site) < 5e-4  # km
+        assert np.abs(axes[:, [0, 2]] - expected[k].T @ np.column_stack((east, up))).max() < 1e-7
+        before, after = (station._frame(LIKE, t + dt)[0].numpy() for dt in (-10.0, 10.0))
+        assert np.abs((after - before) / 20 - drift).max() < 1e-6
 
 
 def test_axes_of_one_time_and_of_many_are_the_same():
