@@ -11,7 +11,8 @@ from test_goodness_of_fit import Spring, measured
 
 from ahnn.data.segments import Segments
 from ahnn.data.sensor import Sensor
-from ahnn.evaluation.residual_diagnosis import remedy
+from ahnn.evaluation.residual_diagnosis import diagnosis, remedy, verdicts
+from ahnn.evaluation.residual_tests import residual_tests
 
 FOLLOWS = "of the residual variance depends on the state: the model misses part of the motion"
 
@@ -84,3 +85,47 @@ def test_wrong_dynamics_are_no_noise():
     assert said.startswith("data.noise is about 2.5e+02 times too large for q; ")
     assert said.endswith(FOLLOWS)
     assert float(trajectories(SPRING, 1, 5).states.abs().max()) > 0.1  # far above the noise
+
+
+def coloured(correlation, seed=0):
+    """Return measurements with noise of the stated size that is correlated in time."""
+    batch, draw = measured(noise=1e-9), torch.Generator().manual_seed(seed)
+    white = torch.randn(batch.values.shape, generator=draw, dtype=torch.float64)
+    noise = white.clone()
+    for k in range(1, white.shape[1]):
+        noise[:, k] = correlation * noise[:, k - 1] + (1 - correlation**2) ** 0.5 * white[:, k]
+    return stated(batch._replace(values=batch.values + 0.01 * noise), 1e7)
+
+
+def one_of(batch, samples):
+    """Return the beginning of one trajectory."""
+    return batch._replace(values=batch.values[:1, :samples], times=batch.times[:1, :samples])
+
+
+def test_few_unseen_measurements_are_diagnosed_with_those_of_the_training():
+    training, unseen = coloured(0.75), one_of(coloured(0.75, seed=1), 14)
+    assert "coloured" not in remedy(Spring(SPRING), unseen, "none")
+    assert "the noise is coloured" in diagnosis(Spring(SPRING), unseen, training, "none")
+    assert diagnosis(Spring(SPRING), unseen, None, "none") == remedy(Spring(SPRING), unseen, "none")
+    many = stated(coloured(0.0), 0.2)  # enough of them: the training does not count
+    assert diagnosis(Spring(SPRING), many, training, "none") == remedy(Spring(SPRING), many, "none")
+    assert "coloured" not in remedy(Spring(SPRING), many, "none")
+
+
+def test_a_model_that_fits_its_training_alone_needs_more_of_it():
+    unseen = one_of(coloured(0.0, seed=3), 25)
+    unseen = unseen._replace(values=unseen.values + 0.05 * torch.sin(1.3 * torch.arange(25.0))[None, :, None])
+    said = diagnosis(Spring(SPRING), unseen, coloured(0.0), "none")
+    assert said.startswith("the measurements of the training have ")
+    assert said.endswith("so that more trajectories would help")
+
+
+@pytest.mark.parametrize(("pairs", "correlation", "said"), [(35, 0.7, 0), (4000, 0.7, 1), (100, 0.0, 1)])
+def test_the_size_of_a_few_correlated_residuals_is_chance(pairs, correlation, said):
+    draw = torch.randn(6, 50, 1, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
+    states, times = torch.zeros(6, 50, 2).double(), torch.arange(50.0).double().expand(6, -1)
+    found = residual_tests(draw, states, times, 2)
+    one = torch.ones(1, dtype=torch.float64)
+    found = found._replace(scale=1.7 * one, correlation=correlation * one, pairs=(pairs * one).long())
+    words = [text for text in verdicts(found, ("q",), 0.1, "none") if "1.7 times too small" in text]
+    assert len(words) == said
