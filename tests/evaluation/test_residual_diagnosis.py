@@ -122,9 +122,9 @@ def test_a_model_that_fits_its_training_alone_needs_more_of_it():
 
 @pytest.mark.parametrize(("pairs", "correlation", "said"), [(35, 0.7, 0), (4000, 0.7, 1), (100, 0.0, 1)])
 def test_the_size_of_a_few_correlated_residuals_is_chance(pairs, correlation, said):
-    draw = torch.randn(6, 50, 1, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
-    states, times = torch.zeros(6, 50, 2).double(), torch.arange(50.0).double().expand(6, -1)
-    found = residual_tests(draw, states, times, 2)
+    draw = torch.randn(6, 50, 2, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
+    times = torch.arange(50.0).double().expand(6, -1)
+    found = residual_tests(draw[..., :1], draw.roll(1, 0), times, 2)
     one = torch.ones(1, dtype=torch.float64)
     found = found._replace(scale=1.7 * one, correlation=correlation * one, pairs=(pairs * one).long())
     words = [text for text in verdicts(found, ("q",), 0.1, "none") if "1.7 times too small" in text]
