@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ from ahnn.evaluation.terminal import show
 from ahnn.files import require_writable
 from ahnn.jobs.tracking_checking import tracking_check
 
-log = logging.getLogger(__name__)
 PROPAGATED: dict[str, Any] = {"step": 60.0, "duration": 86400.0}
 """Default sampling of the orbits of element sets, in seconds."""
 
@@ -28,7 +26,7 @@ def check(paths: Sequence[Path], figures: Path | None, options: dict[str, Any]) 
 
     Args:
         paths: paths of the files.
-        figures: folder for figures of trajectories, or None.
+        figures: folder for figures of trajectories and measurements, or None.
         options: mass, gap, and reading options.
 
     Raises:
@@ -37,13 +35,9 @@ def check(paths: Sequence[Path], figures: Path | None, options: dict[str, Any]) 
     tracking = [path for path in paths if is_tracking(path)]
     if figures is not None and len(tracking) < len(paths):
         require_writable(figures)
-    if figures is not None and tracking:
-        log.warning(
-            "figures: trajectories are drawn, but no tracking data: %s", ", ".join(map(str, tracking))
-        )
     faults = 0
     for path in tracking:
-        findings, shown = tracking_check(path)
+        findings, shown = tracking_check(path, figures)
         show(shown)
         faults += sum(one.level == "fault" for one in findings)
     if others := [path for path in paths if path not in tracking]:

@@ -16,6 +16,7 @@ from ahnn.data.files.kinds import ABOUT, kind_of
 from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.files.table import Fault, Place, Remark
 from ahnn.evaluation.data_findings import counted, listed
+from ahnn.jobs.tracking_figures import draw
 from ahnn.tracking.formats.bulletin_b import read_bulletins
 from ahnn.tracking.formats.sinex import sinex_stations
 from ahnn.tracking.formats.tracking_files import READABLE, read_tracking
@@ -26,18 +27,28 @@ LISTED = 20
 """Maximum number of listed outliers per series."""
 
 
-def tracking_check(path: Path) -> tuple[list[Finding], RenderableType]:
-    """Return the defects of a file, and a summary; raises UserError if the file is missing."""
+def tracking_check(path: Path, figures: Path | None = None) -> tuple[list[Finding], RenderableType]:
+    """Return the defects of a file, and a summary.
+
+    Args:
+        path: path of the file.
+        figures: folder for figures of the measurements, or None.
+
+    Raises:
+        UserError: the file is missing, or a figure cannot be written.
+    """
     kind = kind_of(content_of(path), str(path))
     said: list[Fault | Remark] = []
     shown: list[RenderableType] = []
     found: list[Finding] = []
     try:
         if kind in READABLE:
-            for data in read_tracking(path, note=said.append):
-                series = survey(data)
+            surveys = [(data, survey(data)) for data in read_tracking(path, note=said.append)]
+            for data, series in surveys:
                 shown.append(_table(path, data, series))
                 found += _findings(path, data, series)
+            if figures is not None:
+                draw(path, surveys, figures)
         else:
             holds, unused = (_stations if kind == "sinex" else _days)(path)
             shown.append(f"{path.name}: {holds}")

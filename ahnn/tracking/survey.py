@@ -41,6 +41,7 @@ class SeriesSurvey(NamedTuple):
         outliers: indices of outliers among the measurements.
         impossible: indices of ranges that change faster than a satellite moves.
         rows: (n,) line numbers of the measurements; 0 if unknown.
+        values: (n,) measurements in km, km/s or rad.
     """
 
     station: str
@@ -51,6 +52,7 @@ class SeriesSurvey(NamedTuple):
     outliers: NDArray[np.int64]
     impossible: NDArray[np.int64]
     rows: NDArray[np.int64]
+    values: Array
 
 
 def survey(data: TrackingData) -> list[SeriesSurvey]:
@@ -96,7 +98,7 @@ def of_series(
         impossible = np.flatnonzero(np.abs(np.diff(values)) > FASTEST * steps) + 1
     gap = float(steps.max()) if len(steps) else 0.0
     passes = len(bounds) - 1
-    return SeriesSurvey(station, kind, times, passes, gap, np.concatenate(outliers), impossible, rows)
+    return SeriesSurvey(station, kind, times, passes, gap, np.concatenate(outliers), impossible, rows, values)
 
 
 def directions(around: Array, above: Array) -> Array:

@@ -7,7 +7,9 @@ import pytest
 from entry import call
 from made_formats import BULLETIN, CRD, REAL, SINEX, TABLE, kvn
 
+from ahnn.jobs.tracking_figures import picture
 from ahnn.tracking.formats.gathered import TrackingReading, gathered
+from ahnn.tracking.formats.tracking_files import read_tracking
 from ahnn.tracking.survey import survey
 
 NOISE = 1e-3  # km
@@ -132,8 +134,20 @@ def test_outliers_have_the_row_of_the_file_and_the_whole_name_of_their_kind(tmp_
         for t, v in zip(times, values, strict=True)
     ]
     (tmp_path / "a.csv").write_text("\n".join(["time,station,elevation_deg,azimuth_deg", *rows[::-1]]))
-    assert call("ahnn.data.__main__", "check", str(tmp_path / "a.csv")) == 0
+    folder = tmp_path / "pictures"
+    assert call("ahnn.data.__main__", "check", str(tmp_path / "a.csv"), f"figures={folder}") == 0
     assert "warning a.csv            51 elevation S at" in capsys.readouterr().out
+    assert {one.name for one in folder.iterdir()} >= {"a.csv.png", "a.csv.svg"}
+    (found,) = read_tracking(tmp_path / "a.csv")
+    figure = picture(found, survey(found), "a.csv")
+    labels = [axes.get_ylabel() for axes in figure.axes]
+    assert labels == ["azimuth [deg]", "elevation [deg]"]
+    dots, ring = figure.axes[1].lines
+    np.testing.assert_allclose(np.sort(np.asarray(dots.get_ydata())), np.sort(values / 100 - 5), rtol=1e-12)
+    assert ring.get_ydata() == pytest.approx([values[20] / 100 - 5], rel=1e-12)
+    (folder / "a.csv.svg").write_text("mine")
+    assert call("ahnn.data.__main__", "check", str(tmp_path / "a.csv"), f"figures={folder}") == 2
+    assert (folder / "a.csv.svg").read_text() == "mine"
 
 
 def test_training_on_tracking_data_is_refused_by_name(tmp_path, capsys):
