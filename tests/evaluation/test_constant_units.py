@@ -24,7 +24,10 @@ ORBIT = Space("orbit", ("x", "px"), Units("s", "km", "km/s", "km²/s²"))
         ("mu", ORBIT._replace(units=Units("d", "au", "au/d", "au²/d²")), "au^3/d^2"),
         ("mu", ORBIT._replace(units=Units()), ""),
         ("friction.coefficient[2]", ORBIT, "1/s"),
-        ("friction.coefficient", ORBIT._replace(inertia=2.0), ""),
+        ("friction.coefficient", ORBIT._replace(units=Units("s", "m", "m/s", "kg m²/s²")), "kg/s"),
+        ("friction.coefficient", ORBIT._replace(units=Units("s", "m", "m/s", "J")), "J s/m^2"),
+        ("friction.matrix[1]", ORBIT._replace(units=Units("s", "rad", "rad/s", "J")), "J s"),
+        ("friction.coefficient", ORBIT._replace(units=Units()), ""),
         ("equator.cosine", ORBIT, ""),
     ],
 )

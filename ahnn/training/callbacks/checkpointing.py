@@ -23,7 +23,9 @@ def require_monitored(who: str, name: str, trainer: Trainer) -> None:
     """Check before training that a metric will be logged; raises UserError."""
     known = [*MONITORED, *(name for c in trainer.callbacks for name in getattr(c, "monitored", ()))]  # pyright: ignore[reportAttributeAccessIssue]
     if name not in known:
+        silent = ", which needs callbacks.rollout.count > 0 (0 in trials of a search)"
         message = f"{who}: expected one of {', '.join(known)}; received {name!r}"
+        message += silent if name == "val/rollout" else ""
         raise UserError(message)
 
 
