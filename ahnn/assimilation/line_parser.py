@@ -247,11 +247,9 @@ class Layout:
         name, unit = column_of(cell, {*TIME, *self.measured})
         name = self._called(name)
         if name not in self.known:
-            expected = f"a header with {self._expected()}"
-            message = (
-                f"measurements: expected {expected}; received {name!r}{nearest(name, sorted(self.known))}"
-            )
-            raise UserError(message)
+            several = ". If it names the objects, set objects=id; else leave it out" if name == "id" else ""
+            message = f"measurements: expected a header with {self._expected()}; received {name!r}"
+            raise UserError(message + (several or nearest(name, sorted(self.known))))
         if unit is not None and name in TIME and self.clock is not None:
             self.clock = self.clock.named(unit)
         elif unit is not None and name in self.measured:

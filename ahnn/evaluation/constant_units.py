@@ -28,5 +28,7 @@ def constant_unit(name: str, space: Space) -> str:
     elif FRICTION.fullmatch(name):
         energy, below = space.units.energy, () if length == "rad" else (f"1/{length}",) * 2
         known = energy == "1" or is_unit(energy)
-        found = product(energy, time, *below) if known else f"{energy} {time}{f'/{length}^2' if below else ''}"
+        found = (
+            product(energy, time, *below) if known else f"{energy} {time}{f'/{length}^2' if below else ''}"
+        )
     return "" if found == "1" else found

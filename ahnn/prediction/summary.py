@@ -88,7 +88,11 @@ def nonlinear_warnings(prediction: Prediction, starts: Starts, space: Space) -> 
         f"{what}{_leaving(index, prediction, starts, space)}; {so}"
         for what, index, so in (
             ("bands", bands, outside),
-            ("joint covariance", joint, "its NEES is too large"),
+            (
+                "joint covariance",
+                joint,
+                f"its mean NEES is about {3 * float(joint.max()) ** 2:.2g} too large",
+            ),
         )
         if bool((index > LINEAR).any())
     ]

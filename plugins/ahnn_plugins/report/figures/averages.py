@@ -129,7 +129,8 @@ def _title(task: Task, prefix: str, start: str, in_paper: bool) -> str:
 
 def _caption(task: Task, start: str, what: str = "norm") -> str:
     lead = task.lead
+    count, many = min(SMOOTHING, len(lead.time)), "trajectory" if lead.members == 1 else "trajectories"
     return (
-        f"Mean of the last {SMOOTHING} samples of the root mean square over {lead.members} test trajectories "
-        f"of the {what} of the error, {start} start."
+        f"Mean of the last {count} samples of the root mean square over {lead.members} test {many} of the "
+        f"{what} of the error, {start} start."
     )
