@@ -9,9 +9,10 @@ from unittest.mock import MagicMock
 import pytest
 import torch
 
+from ahnn import progress
 from ahnn.data.generate import generate
 from ahnn.errors import UserError
-from ahnn.estimation import Problem, Setting, perturbed_arcs, trial
+from ahnn.estimation import Problem, Setting, perturbed_arcs
 from ahnn.estimation.trial import Filter
 from ahnn.evaluation.open_loop import Integrated
 from ahnn.integrators import INTEGRATORS
@@ -144,7 +145,8 @@ def test_the_bar_is_full_when_all_is_tried(search, monkeypatch):
     bar, told = MagicMock(), []
     bar.__enter__.return_value = bar
     bar.add_task.side_effect = lambda _, total: told.append(total)
-    monkeypatch.setattr(trial, "progress_bar", lambda: bar)
+    bar.disable = False
+    monkeypatch.setattr(progress, "progress_bar", lambda: bar)
     tune(*search, dataclasses.replace(OPTIONS, trials=5, batch=2))
     assert told == [bar.advance.call_count] == [3 * 100]
 
