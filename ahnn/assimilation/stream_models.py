@@ -87,8 +87,8 @@ class StreamModels:
         gate: Gate | None = getattr(self.process.estimator, "gate", None)
         if gate is None or not gate.reopens:
             return torch.zeros_like(innovation.rejected)
-        many = cast(MemberState, state).rejections >= gate.patience
-        return innovation.rejected & many & ~in_wrong_unit(y, y - innovation.residual)
+        lost = innovation.rejected & (cast(MemberState, state).rejections >= gate.patience)
+        return lost & ~in_wrong_unit(y, y - innovation.residual) if bool(lost.any()) else lost
 
     def reopened(
         self, before: EstimatorState, y: Tensor, model: Measurement, noise: Covariance, spread: Tensor
