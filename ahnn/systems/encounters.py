@@ -16,7 +16,7 @@ from ahnn.systems.base import System
 DRIFT = 1e-12
 """Tolerated change of the energy in a step, relative to p dq/dt and q dp/dt at its ends."""
 ROUNDING = 64 * torch.finfo(torch.float64).eps
-"""The same for rounding, relative to the sum of the sizes of their terms."""
+"""Bound of the rounding error of an energy, relative to the sum of the sizes of its terms."""
 HALVINGS = 24
 """Maximum number of times that a step is halved."""
 
@@ -56,6 +56,11 @@ def conserved(system: System, x: Tensor, y: Tensor) -> Tensor:
 
 def _tolerance(system: System, x: Tensor) -> Tensor:
     """Return the tolerated error of the energy at states (..., D), shape (...)."""
-    rate = system.hamiltonian(x)
-    products = torch.stack((x, rate.roll(x.shape[-1] // 2, -1))).prod(0).unflatten(-1, (2, -1))
-    return DRIFT * products.sum(-1).abs().sum(-1) + ROUNDING * products.abs().sum((-2, -1))
+    size, terms = energy_size(system, x)
+    return DRIFT * size + ROUNDING * terms
+
+
+def energy_size(system: System, x: Tensor) -> tuple[Tensor, Tensor]:
+    """Return |p dq/dt| + |q dp/dt| at states (..., D), and the sum of the sizes of its terms, each (...)."""
+    products = (x * system.hamiltonian(x).roll(x.shape[-1] // 2, -1)).unflatten(-1, (2, -1))
+    return products.sum(-1).abs().sum(-1), products.abs().sum((-2, -1))

@@ -9,12 +9,11 @@ from torch import Tensor
 
 from ahnn.errors import UserError
 from ahnn.systems.base import System
+from ahnn.systems.encounters import ROUNDING, energy_size
 
 log = logging.getLogger(__name__)
 INACCURATE, WRONG = 1e-6, 1e-2
 """Changes of the energy, relative to p dq/dt and q dp/dt, that are reported and refused."""
-ROUNDING = 64 * torch.finfo(torch.float64).eps
-"""Bound of the rounding error of an energy, relative to it."""
 ROWS = 64
 """Number of trajectories that are checked at a time."""
 
@@ -53,6 +52,5 @@ def energy_change(system: System, states: Tensor) -> Tensor:
     known = states.isfinite().all(-1)
     energy = system.energy(states)
     change = (energy - energy[:, :1]).abs() - ROUNDING * energy.abs()
-    (q, p), (velocity, force) = states.chunk(2, -1), system.hamiltonian(states).chunk(2, -1)
-    size = (p * velocity).sum(-1).abs() + (q * force).sum(-1).abs()
+    size, _ = energy_size(system, states)
     return change.where(known, 0.0).amax(1) / size.where(known, 0.0).amax(1)
