@@ -104,7 +104,7 @@ def _layout(height: int, legend: dict[str, Any]) -> dict[str, Any]:
         "paper_bgcolor": clear,
         "plot_bgcolor": clear,
         "font": {"family": "system-ui, sans-serif", "size": 13},
-        "margin": {"l": 54, "r": 12, "t": ABOVE, "b": BELOW},
+        "margin": {"l": 54, "r": 24, "t": ABOVE, "b": BELOW},
         "legend": {"orientation": "h", "x": 0, "bgcolor": clear, "itemwidth": 44, **legend},
         "modebar": {"bgcolor": clear, "color": "#8a8a8a", "activecolor": SKY},
         "hovermode": "closest",
@@ -151,7 +151,7 @@ def _decades(panel: Panel) -> dict[str, Any]:
     low, high = float(values.min()), float(values.max())
     if high >= SHORT * low:
         return {"dtick": 1}
-    if high < NARROW * low:  # possibly none of the ticks below lies between
+    if low < high < NARROW * low:  # possibly none of the ticks below lies between
         ticks = list(map(float, MaxNLocator(4).tick_values(low, high)))
         return {"tickvals": ticks, "ticktext": [f"{tick:.6g}" for tick in ticks]}
     # plotly would label these ticks with a digit but no power of ten.

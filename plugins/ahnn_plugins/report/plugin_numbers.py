@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from ahnn.evaluation.results import plain
-from ahnn_plugins.report.grid import Cell, Grid, Head, Line, shown
+from ahnn_plugins.report.grid import NONE, Cell, Grid, Head, Line, as_printed, shown
 
 BAND = "band_95"
 LONGEST = 12
@@ -56,15 +54,33 @@ def consistency_table(system: str, numbers: dict[str, Any]) -> Grid | None:
     return Grid(f"consistency_{system}", "Consistency.", caption, heads, tuple(lines))
 
 
-def as_text(numbers: Any) -> str:
-    """Return nested numbers as readable JSON, with long lists shortened."""
-    return json.dumps(plain(_cut(numbers)), indent=1, ensure_ascii=False)
+def listed(numbers: Any, name: str = "") -> Iterator[tuple[str, str]]:
+    """Yield path and text of every value in nested numbers; missing values are omitted, long lists cut."""
+    if isinstance(numbers, dict):
+        for key, value in numbers.items():
+            words = str(key) if "." in str(key) else str(key).replace("_", " ")
+            yield from listed(value, f"{name} / {words}" if name else words)
+    elif isinstance(numbers, list) and any(isinstance(item, dict) for item in numbers):
+        for count, item in enumerate(numbers[:LONGEST], 1):
+            yield from listed(item, f"{name} {count}")
+        if len(numbers) > LONGEST:
+            yield name, f"... {len(numbers)} in all"
+    elif text := _text(numbers):
+        yield name, text
 
 
-def _cut(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _cut(item) for key, item in value.items()}
+def _text(value: Any) -> str:
+    """Return a value, or a list of values or rows, as text; empty if missing."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        return as_printed(value)
     if isinstance(value, list):
+        rows = any(isinstance(item, list) for item in value)
         more = [f"... {len(value)} in all"] if len(value) > LONGEST else []
-        return [*map(_cut, value[:LONGEST]), *more]
-    return value
+        return ("; " if rows else ", ").join([*(_text(item) or NONE for item in value[:LONGEST]), *more])
+    return str(value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ahnn.data.reference import Reference
+from ahnn.evaluation.results import plain
 from ahnn.evaluation.titles import described
 from ahnn.labels import quantity
 from ahnn_plugins.report.collection import Collection, Entry
@@ -13,7 +14,7 @@ from ahnn_plugins.report.many import definitions, remarks_html
 from ahnn_plugins.report.markup import Markup, escaped, tag
 from ahnn_plugins.report.overviews import number, score_table
 from ahnn_plugins.report.pictures import Picture, figures_html
-from ahnn_plugins.report.plugin_numbers import as_text, consistency_table
+from ahnn_plugins.report.plugin_numbers import consistency_table, listed
 from ahnn_plugins.report.remarks import remarks
 from ahnn_plugins.report.scores import QUANTITIES, board
 from ahnn_plugins.report.settings import text_of
@@ -90,9 +91,9 @@ def _shown(value: float | None, said: object) -> str:
 
 def _numbers(entry: Entry) -> Markup:
     parts = [
-        tag("details", tag("summary", name), tag("pre", as_text(value)), class_="more")
+        tag("details", tag("summary", name.replace("_", " ")), definitions(dict(facts)), class_="more")
         for name, value in entry.results.numbers.items()
-        if name != "verdict"
+        if name != "verdict" and (facts := [*listed(plain(value))])
     ]
     return escaped([tag("p", "Further results of the evaluations; long lists are cut."), *parts])
 

@@ -10,6 +10,7 @@ from runs import ORBIT, SPRING, paper_rows, reproduction, results, scores, write
 from ahnn.evaluation import Row, Who
 from ahnn_plugins.report import Report
 from ahnn_plugins.report.markup import VOID, Markup, escaped, safe_name, tag
+from ahnn_plugins.report.plugin_numbers import listed
 from ahnn_plugins.report.spreadsheet import scores_csv
 
 EVIL = "<script>alert(1)</script>"
@@ -143,3 +144,26 @@ def test_markup_escapes_all_that_it_did_not_make():
     assert escaped([made, "<"]) == made + "&lt;"
     assert tag("br") == "<br>"
     assert [safe_name(name) for name in ("a_b-1", "../../x", "", "<b>")] == ["a_b-1", "_x", "_", "_b_"]
+
+
+def test_further_numbers_are_listed_by_path_with_yes_and_no_and_without_missing_ones():
+    numbers = {
+        "held_out": 1.25,
+        "mu": [398600.6, None],
+        "consistent": True,
+        "single": None,
+        "right": [[0.1, 1.0], [0.5, 1.0]],
+        "strengths": {"field.log_mu": 2},
+        "parts": [{"name": "x"}, {"name": "y"}],
+        "long": [*range(20)],
+    }
+    assert dict(listed(numbers)) == {
+        "held out": "1.25",
+        "mu": "398601, –",
+        "consistent": "yes",
+        "right": "0.1, 1; 0.5, 1",
+        "strengths / field.log_mu": "2",
+        "parts 1 / name": "x",
+        "parts 2 / name": "y",
+        "long": "0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, ... 20 in all",
+    }

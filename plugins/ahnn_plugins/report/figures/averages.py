@@ -69,8 +69,8 @@ def _unsmoothed(task: Task, start: str) -> Drawing:
         _panel(task, start, 2 * dof + block, f"{name} error [{unit}]", lambda series: series)
         for block, (name, unit) in enumerate(_blocks(task.lead))
     ]
-    count = task.lead.members
-    caption = f"Root mean square over {count} test trajectories of the norm of the error, at every sample."
+    over = _trajectories(task.lead.members)
+    caption = f"Root mean square over {over} of the norm of the error, at every sample."
     return task.drawing(f"error_{start}", f"error over time, {start} start", caption, _filled(panels))
 
 
@@ -129,8 +129,12 @@ def _title(task: Task, prefix: str, start: str, in_paper: bool) -> str:
 
 def _caption(task: Task, start: str, what: str = "norm") -> str:
     lead = task.lead
-    count, many = min(SMOOTHING, len(lead.time)), "trajectory" if lead.members == 1 else "trajectories"
+    count, over = min(SMOOTHING, len(lead.time)), _trajectories(lead.members)
     return (
-        f"Mean of the last {count} samples of the root mean square over {lead.members} test {many} of the "
-        f"{what} of the error, {start} start."
+        f"Mean of the last {count} samples of the root mean square over {over} of the {what} of the error, "
+        f"{start} start."
     )
+
+
+def _trajectories(count: int) -> str:
+    return f"{count} test {'trajectory' if count == 1 else 'trajectories'}"
