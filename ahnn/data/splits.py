@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from torch import Tensor
 
+from ahnn.data.files.samples import cut_for_splits
 from ahnn.data.fingerprints import recognised, remembered
 from ahnn.data.noise_floor import differences_level, looked_at
 from ahnn.data.sensor import Sensor
@@ -179,8 +180,8 @@ def split_sizes(count: int, fractions: list[float], samples: int = 0) -> list[in
     rest = [round(fraction * count) for fraction in fractions[1:]]
     sizes = [count - sum(rest), *rest]
     if count < len(SPLITS):
-        total = samples * count
-        example = f", for example system.cut={max(20, total // 10)}" if total >= 60 else ""
+        option = cut_for_splits(samples * count)
+        example = f", for example {option}" if option else ""
         message = (
             f"data.split: expected at least one trajectory in each of {', '.join(SPLITS)}; received {count} "
             f"{'trajectory' if count == 1 else 'trajectories'}. Use more, or cut trajectories of files with "

@@ -12,7 +12,7 @@ from ahnn.data.doctor.rare_rates import missing_rates, rarely_measured
 from ahnn.data.doctor.slopes import interpolated
 from ahnn.data.doctor.spans import spelled_span
 from ahnn.data.files.content import Content
-from ahnn.data.files.samples import Track, filled, stacked, steps_in_medians
+from ahnn.data.files.samples import Track, cut_for_splits, filled, stacked, steps_in_medians
 from ahnn.data.files.table import Fault
 from ahnn.data.files.units import ANGLE, unit
 from ahnn.data.noise_floor import ORDERS, SHARE, differences_level, looked_at, noise_floor
@@ -117,9 +117,9 @@ def too_few(contents: Sequence[Content]) -> Iterator[Finding]:
         yield Finding("fault", file, head, column, what, "Give more samples per trajectory")
     elif len(tracks) == 1:
         what = "only one trajectory for training, validation and test"
-        yield Finding(
-            "warning", file, head, "", what, "Train with system.cut=SAMPLES, or give more trajectories"
-        )
+        option = cut_for_splits(len(tracks[0].times))
+        remedy = f"Cut it into several (for example {option}), or give more" if option else "Give more"
+        yield Finding("warning", file, head, "", what, remedy)
 
 
 def outliers(track: Track, content: Content) -> Iterator[Finding]:

@@ -157,6 +157,11 @@ def steps_in_medians(times: Array) -> tuple[Array, bool]:
     return ratio, bool((np.abs(ratio - whole) <= ON_GRID * whole).all())
 
 
+def cut_for_splits(samples: int) -> str:
+    """Return the option that cuts a single trajectory into about ten; empty if it is too short."""
+    return f"system.cut={max(20, samples // 10)}" if samples >= 60 else ""
+
+
 def cut(track: Track, samples: int | None) -> list[Track]:
     """Cut a track into segments of about equal length, near `samples`; None: not cut."""
     count = 1 if samples is None else max(1, round(len(track.times) / samples))

@@ -10,7 +10,15 @@ import torch
 
 from ahnn.data.doctor import examine
 from ahnn.data.doctor.examine import diagnosis
-from ahnn.data.doctor.samples import gaps, missing, noise, runs_of_outliers, sample_findings, too_wide
+from ahnn.data.doctor.samples import (
+    gaps,
+    missing,
+    noise,
+    runs_of_outliers,
+    sample_findings,
+    too_few,
+    too_wide,
+)
 from ahnn.data.files.content import Column, Content
 from ahnn.data.files.reading import FileReading
 from ahnn.data.files.samples import Track
@@ -205,3 +213,15 @@ def test_the_noise_that_is_found_is_an_option(rates, said):
         content(track(values + draw.normal(0, 0.02, values.shape), times), rates=rates), ("q", *rates), 10
     )
     assert found.remedy.startswith(f"Train with {said}")
+
+
+@pytest.mark.parametrize(
+    ("samples", "said"), [(59, "Give more"), (60, "system.cut=20"), (1440, "system.cut=144")]
+)
+def test_a_single_trajectory_is_to_be_cut_into_about_ten_if_it_is_long_enough(samples, said):
+    file = content(track(np.sin(0.1 * np.arange(samples))))
+    (one,) = too_few([file])
+    assert one.level == "warning"
+    assert said in one.remedy
+    assert ("system.cut" in one.remedy) == (samples >= 60)
+    assert not [*too_few([file, file])]
