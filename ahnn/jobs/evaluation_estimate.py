@@ -12,17 +12,18 @@ from ahnn.clock import Clock, extended
 from ahnn.jobs.prepared import Prepared
 from ahnn.rollouts import clock_of
 from ahnn.systems import exact_flow
-from ahnn.training.runtime_estimate import shooting_seconds, work
+from ahnn.training.closing_estimate import shooting_cost, work
+from ahnn.training.timers import sum_seconds
 from ahnn.types import Flow
 
 TIMED = 5
-"""Number of timed steps and sums."""
+"""Number of timed steps."""
 FILTERED = 6.0
 """Measured cost of a filter evaluation (4.7 on Molniya orbits, 8.8 on a spring), in units of a prediction."""
-TESTS = 4.5
-"""Measured cost of tests on unseen measurements, in units of a fit of untrained dynamics to them."""
-FIGURES, SUM = 850.0, 100_000
-"""Measured cost of figures and their imports, in units of a sum of so many squares in Python."""
+TESTS = 65.0
+"""Measured cost of tests on unseen measurements, in iterations of their initial states."""
+FIGURES = 850.0
+"""Measured cost of figures and their imports, in units of a sum in Python."""
 
 
 def evaluation_seconds(prepared: Prepared) -> float:
@@ -32,7 +33,7 @@ def evaluation_seconds(prepared: Prepared) -> float:
     """
     data, plan = prepared.data, prepared.assessment
     test, dynamics = data.splits["test"], prepared.model.dynamics.frozen().cpu()
-    seconds = FIGURES * _sum_seconds() if plan.report.get("figures", True) else 0.0
+    seconds = FIGURES * sum_seconds() if plan.report.get("figures", True) else 0.0
     count, samples = test.states.shape[:2]
     flows: list[tuple[Flow, int]] = [(dynamics, 2 * count)]
     truth = None if data.source.truth is None else exact_flow(data.source.truth)
@@ -45,18 +46,8 @@ def evaluation_seconds(prepared: Prepared) -> float:
     more = sum(cost(samples) for cost in costs if cost is not None)
     seconds += samples * each * (1 + FILTERED * filters + more)
     if data.stages is not None:
-        seconds += TESTS * shooting_seconds(prepared.model, data) * work(data.measured("test").times)
+        seconds += TESTS * shooting_cost(prepared.model, data).iteration * work(data.measured("test").times)
     return seconds
-
-
-def _sum_seconds() -> float:
-    """Return the median time of a sum in Python, since figures are drawn in it."""
-    times = list[float]()
-    for _ in range(TIMED):
-        begin = time.perf_counter()
-        sum(k * k for k in range(SUM))
-        times.append(time.perf_counter() - begin)
-    return median(times)
 
 
 @torch.no_grad()

@@ -5,34 +5,22 @@ from __future__ import annotations
 import copy
 import itertools
 import math
-import time
 from collections.abc import Callable
-from statistics import median
 from typing import Any
 
 import torch
-from torch.nn.utils import parameters_to_vector
 
 from ahnn.data.datamodule import WindowDataModule
-from ahnn.data.segments import Segments
-from ahnn.shooting.robust import ROBUST
-from ahnn.training.maximum_posterior import WideProblem
+from ahnn.training.closing_estimate import closing_seconds, work
 from ahnn.training.objectives import Objective
+from ahnn.training.timers import median_seconds, seconds_of
 
 TRIALS = 3
 """Maximum number of timed steps."""
-ENOUGH = 0.25
-"""Total duration of timed steps that suffices, in seconds: of longer steps only one is timed."""
 LONG, FRACTIONS = 0.5, (1 / 8, 1 / 4)
 """Seconds of a step on the first of these fractions of a batch above which whole batches are not timed."""
 REFITTED = 0.5
 """Relative cost of a step that starts from previously fitted initial states."""
-CLOSING = 4.5
-"""Measured cost of the closing stage without parameter steps, in units of one set of normal equations."""
-ROWS = 100
-"""Number of segments that together cost as much as the fixed part of a time step."""
-SEGMENTS, INTERVALS = 300, 64
-"""Maximum number of segments on which final steps are timed, and of their measurement intervals."""
 
 
 def expected_seconds(
@@ -67,30 +55,7 @@ def _on_measurements(model: Any, data: WindowDataModule, per_epoch: int, epochs:
     """
     objective = model.curriculum.at(0, epochs.stop)
     each = step_seconds(model, data, objective) / work(next(iter(data.train_dataloader())).times)
-    last = shooting_seconds(model, data) * (CLOSING + REFITTED * model.curriculum.closing)
-    return last * work(data.measured("train").times) + each * sum(amounts(data, per_epoch, epochs))
-
-
-def work(times: torch.Tensor) -> float:
-    """Return the work of a batch of segments with these times (B, T), in steps of one segment."""
-    rows, samples = times.shape
-    return float(samples * (rows + ROWS))
-
-
-def shooting_seconds(model: Any, data: WindowDataModule) -> float:
-    """Return the duration of shooting fits and normal equations per unit of `work`.
-
-    It is timed on the first intervals of trajectories, since untrained dynamics soon diverge.
-    """
-    dynamics = copy.deepcopy(model.dynamics).double().cpu()  # as in the closing stage
-    whole = Segments(data.measured("train"), None, data.instrument)
-    batch = whole.gather(torch.arange(min(len(whole), SEGMENTS)))
-    batch = batch._replace(values=batch.values[:, : INTERVALS + 1], times=batch.times[:, : INTERVALS + 1])
-    parameters = list(dynamics.parameters())
-    theta, sizes = parameters_to_vector(parameters).detach(), [p.numel() for p in parameters]
-    equations = lambda: WideProblem(dynamics, batch, ROBUST["none"]).equations(theta, sizes)  # noqa: E731
-    with torch.no_grad():
-        return _median(equations) / work(batch.times)
+    return closing_seconds(model, data, objective.robust) + each * sum(amounts(data, per_epoch, epochs))
 
 
 def amounts(data: WindowDataModule, per_epoch: int, epochs: range) -> list[float]:
@@ -135,7 +100,7 @@ def step_seconds(model: Any, data: WindowDataModule, objective: Objective) -> fl
 
     # If few segments are used, no equations may remain once the initial states are eliminated.
     if data.stages is not None:
-        return _median(lambda: step(1.0), TRIALS)
+        return median_seconds(lambda: step(1.0), TRIALS)
     return _of_whole(step, TRIALS)
 
 
@@ -147,24 +112,8 @@ def _part(draw: torch.Tensor, fraction: float) -> torch.Tensor:
 def _of_whole(work: Callable[[float], Any], repeats: int = 1) -> float:
     """Return the duration of work on a whole batch; if it is long, extrapolate it from two fractions."""
     small, large = FRACTIONS
-    first = _median(lambda: work(small))
+    first = median_seconds(lambda: work(small))
     if first < LONG:
-        return _median(lambda: work(1.0), repeats)
-    second = _timed(lambda: work(large))
+        return median_seconds(lambda: work(1.0), repeats)
+    second = seconds_of(lambda: work(large))
     return second + (1 - large) / (large - small) * max(second - first, 0.0)
-
-
-def _median(work: Callable[[], Any], repeats: int = 1) -> float:
-    """Return the median time of a function after a warm-up call."""
-    times = []
-    while len(times) < 2 or (len(times) <= repeats and sum(times[1:]) < ENOUGH):
-        times.append(_timed(work))
-    return median(times[1:])
-
-
-def _timed(work: Callable[[], Any]) -> float:
-    begin = time.perf_counter()
-    work()
-    if torch.cuda.is_initialized():
-        torch.cuda.synchronize()
-    return time.perf_counter() - begin

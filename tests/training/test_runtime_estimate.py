@@ -9,7 +9,7 @@ import torch
 from oscillators import Swing
 
 from ahnn.measurements import Instrument, Observations, Position
-from ahnn.training import runtime_estimate
+from ahnn.training import closing_estimate, runtime_estimate, timers
 from ahnn.training.shooting import Shooting
 from ahnn.training.weak import Weak
 
@@ -56,19 +56,28 @@ class FourBatches:
 
 
 @pytest.mark.parametrize(
-    ("first", "closing", "last"),
-    [(Shooting(4), 0, 4.5), (Weak(), 3, 6.0)],
+    ("first", "steps", "quartered", "fits"),
+    [
+        (Shooting(4), 0, False, 45),
+        (Shooting(4), 0, True, 180),
+        (Shooting(4, "student"), 0, False, 65),
+        (Weak(), 3, False, 60),
+    ],
 )
-def test_last_steps_and_the_covariance_count_by_all_measurements(first, closing, last, monkeypatch):
-    """A step of 200 segments takes 1 s, one of 50 longer ones 2 s; a fit to all measurements 1.4 s."""
+def test_last_steps_and_the_covariance_count_by_all_measurements(first, steps, quartered, fits, monkeypatch):
+    """A step of 200 segments takes 1 s, one of 50 longer ones 2 s; an iteration 0.2 s, equations 0.1 s."""
     monkeypatch.setattr(runtime_estimate, "step_seconds", lambda *_: 1.0)
-    monkeypatch.setattr(runtime_estimate, "shooting_seconds", lambda *_: 7e-4)
+    cost = closing_estimate.ShootingCost(1e-4, 5e-5, quartered)
+    monkeypatch.setattr(closing_estimate, "shooting_cost", lambda *_: cost)
+    monkeypatch.setattr(closing_estimate, "sum_seconds", lambda: 0.01)
     at = lambda epoch, epochs: first if (epoch, epochs) == (0, 2) else None  # noqa: E731
-    curriculum = SimpleNamespace(at=at, closing=closing)
+    curriculum = SimpleNamespace(at=at, closing=steps)
     model, trainer = SimpleNamespace(curriculum=curriculum), SimpleNamespace(callbacks=[])
     seconds = runtime_estimate.expected_seconds(trainer, Data(), model, 3, range(2))  # pyright: ignore
     validation = 0.5 * 10 * (20 + 100) / (5 * (200 + 100))
-    assert seconds == pytest.approx(3 + 3 * 2 + 2 * validation + 1.4 * last)
+    directions = 0.01 * 4 * 10
+    equations = 10 * 0.1 * (4 if quartered else 1)
+    assert seconds == pytest.approx(3 + 3 * 2 + 2 * validation + 0.2 * fits + equations + directions)
 
 
 def test_epochs_count_by_what_they_work_through():
@@ -82,8 +91,8 @@ def test_epochs_count_by_what_they_work_through():
 @pytest.mark.parametrize(("each", "calls"), [(0.01, 4), (0.2, 3), (2.0, 2)])
 def test_steps_that_take_long_are_timed_once(each, calls, monkeypatch):
     done = []
-    monkeypatch.setattr(runtime_estimate.time, "perf_counter", lambda: each * len(done))
-    assert runtime_estimate._median(lambda: done.append(0), 3) == pytest.approx(each)
+    monkeypatch.setattr(timers.time, "perf_counter", lambda: each * len(done))
+    assert timers.median_seconds(lambda: done.append(0), 3) == pytest.approx(each)
     assert len(done) == calls
 
 
@@ -96,7 +105,7 @@ def test_long_steps_are_timed_on_shares_of_a_batch(fixed, whole, shares, monkeyp
         clock[0] += fixed + whole * share
         done.append(share)
 
-    monkeypatch.setattr(runtime_estimate.time, "perf_counter", lambda: clock[0])
+    monkeypatch.setattr(timers.time, "perf_counter", lambda: clock[0])
     assert runtime_estimate._of_whole(work) == pytest.approx(fixed + whole)
     assert done == (shares or [1 / 8, 1 / 8, 1 / 4])
 
@@ -126,31 +135,45 @@ def test_a_validation_takes_as_long_as_its_first_batch_for_each_of_them(monkeypa
 
 
 @pytest.mark.parametrize(("rows", "samples"), [(4, 20), (320, 80)])
-def test_last_steps_are_timed_on_the_beginnings_of_some_trajectories(rows, samples, monkeypatch):
-    """By their work; the rows and intervals of the beginnings are bounded."""
-    seen = []
-    equations = SimpleNamespace(equations=lambda theta, sizes: seen.append((theta.tolist(), sizes)))
-    monkeypatch.setattr(runtime_estimate, "_median", lambda work, *_: work() or 6.0)
-    monkeypatch.setattr(
-        runtime_estimate, "WideProblem", lambda _, batch, *__: seen.append(batch) or equations
-    )
-    times = torch.arange(samples, dtype=torch.float64).expand(rows, -1)
+def test_an_iteration_is_timed_on_the_beginnings_of_some_trajectories(rows, samples, monkeypatch):
+    """By its work; the rows and intervals of the beginnings are bounded."""
+    seen, durations = [], iter([6.0, 2.0])
+
+    def timed(work):
+        work()
+        return next(durations)
+
+    def equations(problem, theta, sizes):
+        seen.append((problem.batch, problem.fitted, theta.tolist(), sizes))
+
+    monkeypatch.setattr(closing_estimate, "median_seconds", timed)
+    monkeypatch.setattr(closing_estimate._Unfitted, "equations", equations)
+    times = 0.1 * torch.arange(samples, dtype=torch.float64).expand(rows, -1)
     data = SimpleNamespace(
         measured=lambda _: Observations(times.sin().unsqueeze(-1), times),
         instrument=Instrument(Position(1), torch.ones(1), 1.0, 1, 1.0),
     )
     model = SimpleNamespace(dynamics=Swing(2.5, 0.5))
-    shape = min(rows, runtime_estimate.SEGMENTS), min(samples, runtime_estimate.INTERVALS + 1)
-    seconds = runtime_estimate.shooting_seconds(model, data)  # pyright: ignore
-    assert seconds == pytest.approx(6.0 / (shape[1] * (shape[0] + 100)), rel=1e-12)
-    batch, asked = seen
+    shape = min(rows, closing_estimate.SEGMENTS), min(samples, closing_estimate.INTERVALS + 1)
+    found = closing_estimate.shooting_cost(model, data)  # pyright: ignore
+    amount = shape[1] * (shape[0] + 100)
+    assert found.iteration == pytest.approx(4.0 / amount, rel=1e-12)
+    assert found.equations == pytest.approx(2.0 / amount, rel=1e-12)
+    assert not found.quartered
+    batch, fitted, *asked = seen[0]
     assert batch.values.shape == (*batch.times.shape, 1)
     assert batch.times.shape == shape
-    assert asked == ([2.5, 0.5], [2])
+    assert asked == [[2.5, 0.5], [2]]
+    assert float(fitted.sums.abs().max()) == 0.0
+    assert len(seen) == 2
 
 
-def test_what_is_timed_once_is_done_once_before(monkeypatch):
-    done = []
-    monkeypatch.setattr(runtime_estimate.time, "perf_counter", lambda: {0: 0.0, 1: 0.08, 2: 0.09}[len(done)])
-    assert runtime_estimate._median(lambda: done.append(0)) == pytest.approx(0.01)
-    assert len(done) == 2
+def test_steps_that_the_closing_stage_quarters_are_noticed():
+    times = 2.0 * torch.arange(20, dtype=torch.float64).expand(4, -1)
+    data = SimpleNamespace(
+        measured=lambda _: Observations(times.sin().unsqueeze(-1), times),
+        instrument=Instrument(Position(1), torch.ones(1), 2.0, 1, 2.0),
+    )
+    found = closing_estimate.shooting_cost(SimpleNamespace(dynamics=Swing(2.5, 0.5)), data)  # pyright: ignore
+    assert found.quartered
+    assert found.iteration > 0 < found.equations
