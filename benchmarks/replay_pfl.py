@@ -1,7 +1,7 @@
 """What would each setting of the pruner have saved and lost on the curves of a sweep that pruned nothing?
 
     python -m ahnn.train -m sweep=quick model=hnn callbacks.pfl.top_k=1000    # records, judges nothing
-    python benchmarks/replay_pfl.py multirun/quick_mass_spring_hnn
+    python benchmarks/replay_pfl.py runs/sweeps/quick_mass_spring_hnn
 
 The trials are taken in their order; the sampler's answer to pruning is not part of it.
 """

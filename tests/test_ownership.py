@@ -192,7 +192,7 @@ def test_options_of_ones_own_are_found_anywhere(tmp_path):
 
 
 def test_a_search_is_written_where_the_same_command_finds_it_again():
-    folder = "multirun/${hydra.sweeper.study_name}"
+    folder = "runs/sweeps/${hydra.sweeper.study_name}"
     assert select_text(composed("sweep=quick", "model=hnn")) == folder
     assert select_text(composed()).startswith("runs/sweeps/${now:")
 

@@ -44,8 +44,10 @@ from ahnn.uncertainty import Uncertainty
 from ahnn.uncertainty.posterior import is_unfinished
 
 log = logging.getLogger("ahnn")
-AFTER = 6.0
+AFTER = 5.5
 """Measured time of the closing stage after its first normal equations, in units of the time up to them."""
+FINALLY = 2.7
+"""Measured time of the closing stage after its last step, in the same units."""
 DAMPING = 1e-6
 """Initial damping: float32 training determines directions only to a millionth of the best observable ones."""
 FURTHER = 10
@@ -127,8 +129,9 @@ def _is_better(after: Mapping[str, Any], before: Mapping[str, Any]) -> bool:
 def _concluded(
     dynamics: Dynamics, train: Segment, held_out: Segment, steps: int, robust: RobustName
 ) -> Uncertainty | None:
-    loss = loss_of(robust, train.instrument.freedom)
+    loss, began = loss_of(robust, train.instrument.freedom), time.monotonic()
     problem, here, gained = approached(dynamics, train, steps, robust)
+    first = time.monotonic() - began
     if here is None:
         return None
     unseen = whole_problem(dynamics, held_out, loss)
@@ -136,6 +139,7 @@ def _concluded(
     names = [name for name, _ in dynamics.named_parameters()]
     noise = Noise.of(problem, here.theta)
     taken = whole_step(problem, dynamics, here)
+    foresee(FINALLY * first if steps == 0 else 0.0)
     if taken is None:
         there = here.left(gained) if gained <= ARRIVED * here.determined else here
         return with_biases(uncertainty(there, others, names, noise), problem)

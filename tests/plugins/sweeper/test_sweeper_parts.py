@@ -127,7 +127,7 @@ def test_a_checked_job_finds_the_folder_that_its_search_names(monkeypatch: pytes
     sweeper = AhnnOptunaSweeper(**{k: v for k, v in options.items() if k[0] != "_"})  # pyright: ignore
     sweeper.config, sweeper.task_function = config, task
     sweeper._check(config.copy())
-    assert seen == [(False, "multirun/quick_spring_hnn/pfl_record.jsonl")]
+    assert seen == [(False, "runs/sweeps/quick_spring_hnn/pfl_record.jsonl")]
     assert HydraConfig.instance().cfg is before
 
 
