@@ -20,7 +20,7 @@ TIMED = 5
 """Number of timed steps."""
 FILTERED = 6.0
 """Measured cost of a filter evaluation (4.7 on Molniya orbits, 8.8 on a spring), in units of a prediction."""
-TESTS = 65.0
+TESTS = 50.0
 """Measured cost of tests on unseen measurements, in iterations of their initial states."""
 FIGURES = 850.0
 """Measured cost of figures and their imports, in units of a sum in Python."""

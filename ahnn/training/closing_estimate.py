@@ -27,7 +27,7 @@ from ahnn.training.least_observable import LASTING
 from ahnn.training.maximum_posterior import WideProblem
 from ahnn.training.timers import median_seconds, sum_seconds
 
-FITS, ROBUST_FITS, STEP_FITS, EQUATIONS = 45.0, 65.0, 5.0, 10.0
+FITS, ROBUST_FITS, STEP_FITS, EQUATIONS = 40.0, 65.0, 5.0, 5.0
 """Measured cost of the closing stage: iterations of all initial states without and with a robust loss and
 for each parameter step, and accumulations of normal equations.
 """

@@ -58,10 +58,10 @@ class FourBatches:
 @pytest.mark.parametrize(
     ("first", "steps", "quartered", "fits"),
     [
-        (Shooting(4), 0, False, 45),
-        (Shooting(4), 0, True, 180),
+        (Shooting(4), 0, False, 40),
+        (Shooting(4), 0, True, 160),
         (Shooting(4, "student"), 0, False, 65),
-        (Weak(), 3, False, 60),
+        (Weak(), 3, False, 55),
     ],
 )
 def test_last_steps_and_the_covariance_count_by_all_measurements(first, steps, quartered, fits, monkeypatch):
@@ -76,7 +76,7 @@ def test_last_steps_and_the_covariance_count_by_all_measurements(first, steps, q
     seconds = runtime_estimate.expected_seconds(trainer, Data(), model, 3, range(2))  # pyright: ignore
     validation = 0.5 * 10 * (20 + 100) / (5 * (200 + 100))
     directions = 0.01 * 4 * 10
-    equations = 10 * 0.1 * (4 if quartered else 1)
+    equations = 5 * 0.1 * (4 if quartered else 1)
     assert seconds == pytest.approx(3 + 3 * 2 + 2 * validation + 0.2 * fits + equations + directions)
 
 
