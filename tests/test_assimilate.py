@@ -151,6 +151,7 @@ def test_a_gate_is_on_by_default_and_opens_again_for_a_filter_that_is_lost(capsy
         assert (max(map(abs, ends)) < 0.2) == (option != "gate=none")
     assert "reopened the gate after consecutive rejections; the covariance was enlarged" in caplog.text
     assert "reopened once after too many consecutive rejections" in caplog.text
+    assert "start: all 4 measurements before this one were rejected" in caplog.text
     assert assimilate(*FIXES, "gate=2", "output=track.csv") == 2
     assert "gate: expected" in capsys.readouterr().err
 

@@ -265,3 +265,8 @@ def test_general_momenta_are_said_to_be_such_and_velocities_are_no_momenta_of_a_
     assert "momentum [kg m/s]" in " ".join(told.out.split())
     assert "over the mass" not in told.err
     assert not ahnn.load(tmp_path / "run").space.mechanical
+    made = [f"run={tmp_path / 'run'}", "start=[0.3,0]", "duration=3", f"output={tmp_path / 'ahead.csv'}"]
+    assert call("ahnn.predict", *made) == 0
+    assert "mass: canonical" in (tmp_path / "ahead.yaml").read_text()
+    assert call("ahnn.data.__main__", "check", str(tmp_path / "ahead.csv")) == 0
+    assert not Files("ahead", str(tmp_path / "ahead.csv")).space.mechanical

@@ -27,6 +27,10 @@ TOGETHER = 512
 """Maximum number of lines in a block, whose rows are written together."""
 FAR = 100
 """Number of model steps from an undated start to the first measurement beyond which a warning is logged."""
+UNLIKELY = (
+    "start: all %d measurements before this one were rejected, since they are far from it. Check its frame, "
+    "unit and time, or give it a larger start_sd"
+)
 
 Watcher = Callable[[int, Reading, Estimate, Counter[str]], None]
 """Callback for every measurement line: line number, reading, estimate, and counts so far."""
@@ -199,6 +203,8 @@ class Session(StreamSession):
             name = reading.sensor or next(iter(self.filter.sensors))
             self.ratios.close(name)
             log.info("line %d: %s %s", number, label, words)
+            if not self.numbers:
+                log.warning(UNLIKELY, self.counts["rejected"])
             if suspicion := self.ratios.sentence(name):
                 message = (
                     f"line {number}: expected measurements near the estimates; received consecutive ones far "

@@ -13,7 +13,7 @@ from ahnn.arguments import nearest
 from ahnn.errors import UserError
 
 RATE = "optimizer.lr"
-RATES = ("lr", "learning_rate", RATE, "optimizer.learning_rate")
+RATES = ("lr", "learning_rate", RATE, "optimizer.learning_rate", "optimiser.lr", "optimiser.learning_rate")
 """Names by which users may refer to the learning rate."""
 NEAR = 0.65
 """Similarity from which the last part of another key is suggested."""

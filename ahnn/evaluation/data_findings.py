@@ -10,12 +10,15 @@ from rich.table import Table
 
 from ahnn.data.doctor import Examined, Finding
 from ahnn.data.files.content import Content
+from ahnn.data.reference import Reference
 
 LEVELS = ("fault", "warning", "note")
 SHOWN = 5
 """Maximum number of similar findings listed in the table; the rest are counted."""
 FILE = 12, 20
 """Minimum and maximum width of file names, which are never broken; longer ones lack their middle."""
+SPATIAL = 3
+"""Number of positions in space, whose frame is stated."""
 NARROW = 6
 """Minimum width of the names of columns; the descriptions give four more to longer names."""
 
@@ -54,12 +57,14 @@ def counted(findings: list[Finding]) -> str:
 
 
 def columns(content: Content) -> str:
-    """Format the interpretation of each table column; "" for self-describing formats."""
+    """Format the interpretation of each table column, and the frame; "" for self-describing formats."""
     roles: dict[str, list[str]] = {}
     for name, role, unit in content.columns:
         roles.setdefault(role, []).append(f"{name} [{unit}]" if unit else name)
     listed = "; ".join(f"{role} {', '.join(names)}" for role, names in roles.items())
-    return f"{Path(content.tracks[0].file).name}: {listed}" if roles else ""
+    reference = Reference.of(content.frame)._replace(epoch=None).described()
+    stated = f"; {reference}" if reference and len(content.positions) == SPATIAL else ""
+    return f"{Path(content.tracks[0].file).name}: {listed}{stated}" if roles else ""
 
 
 def shortened(findings: list[Finding]) -> Iterator[tuple[str, str, str, str, str]]:

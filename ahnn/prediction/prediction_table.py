@@ -9,6 +9,7 @@ import numpy as np
 
 from ahnn.data.files import epochs
 from ahnn.data.files.columns import COVARIANCES
+from ahnn.data.files.content import CANONICAL
 from ahnn.data.files.object_name import names_by_id
 from ahnn.data.files.sidecar import Sidecar
 from ahnn.data.files.units import product
@@ -68,7 +69,8 @@ def described(starts: Starts, space: Space) -> Sidecar:
     time = "t" if reference.epoch is None else "epoch"
     columns = {"time": time, "id": "id", "positions": names, **rates}
     units = {} if reference.epoch is None else {"epoch": reference.clock or "UTC"}
-    return Sidecar(units, columns, str(reference._replace(epoch=None)), objects=names_by_id(starts.objects))
+    frame, mass = str(reference._replace(epoch=None)), "" if space.mechanical else CANONICAL
+    return Sidecar(units, columns, frame, objects=names_by_id(starts.objects), mass=mass)
 
 
 def as_csv(found: dict[str, Any]) -> bytes:

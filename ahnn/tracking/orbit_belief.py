@@ -46,6 +46,7 @@ def fitted_belief(fit: OrbitFit, time: float) -> OrbitBelief:
     moved[:SIZE, :count] = fit.point.arc.sensitivities(at)[0]
     mean = np.concatenate((fit.point.arc.states(at)[0], fit.point.x[SIZE:]))
     covariance = (moved @ fit.covariance @ moved.T)[np.ix_(free, free)]
+    covariance = (covariance + covariance.T) / 2  # the product rounds differently on both sides
     return OrbitBelief(components_of(unknowns), mean[free], covariance, time, fit.noise)
 
 

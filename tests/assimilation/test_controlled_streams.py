@@ -14,6 +14,7 @@ from following import MEAN, P0, SPACE, STEP, Q
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from motions.pushed_spring import PushedSpring
+from scipy.integrate import trapezoid
 from steering import (
     GAINS,
     NAMES,
@@ -93,7 +94,7 @@ def test_controls_that_a_table_interpolates_push_by_their_integral():
         gain * np.interp(fine, table.times, column)
         for gain, column in zip(GAINS, table.values.T, strict=True)
     )
-    assert float(estimate.mean[1]) == pytest.approx(MEAN[1] + np.trapezoid(pushed, fine), rel=1e-9)
+    assert float(estimate.mean[1]) == pytest.approx(MEAN[1] + trapezoid(pushed, fine), rel=1e-9)
     assert float(estimate.mean[0]) == pytest.approx(
         MEAN[0] + MEAN[1] * 2.6 + np.trapezoid(pushed * (2.6 - fine), fine), rel=1e-9
     )

@@ -6,6 +6,7 @@ import csv
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from ahnn.data.files.epochs import SECOND
 from ahnn.data.files.messages import read_oem
 from ahnn.tracking.formats.tdm_writing import write_tdm
 from ahnn.tracking.formats.tracking_files import read_tracking
+from ahnn.tracking.orbit_belief import fitted_belief
 from ahnn.tracking.satellite_arc import Forces
 from ahnn.tracking.satellite_flow import SatelliteFlow
 from ahnn.tracking.station_measurement import StationMeasurement
@@ -221,3 +223,15 @@ def test_lageos_is_followed_to_where_the_prediction_has_it(tmp_path, caplog):
     assert call("ahnn.assimilate", f"orbit={SETUPS / 'lageos2.yaml'}", *words) == 0
     assert "38 taken" in caplog.text
     assert float(re.search(r"(\S+) m at most", caplog.text)[1]) <= 1.0
+
+
+def test_the_covariance_at_the_start_of_a_filter_is_symmetric_to_the_last_bit():
+    draw = np.random.default_rng(0)
+    root = draw.normal(size=(6, 6)) * 10.0 ** draw.uniform(-6, 0, 6)
+    moved, states = draw.normal(size=(1, 6, 6)), np.zeros((1, 6))
+    arc = SimpleNamespace(sensitivities=lambda _: moved, states=lambda _: states)
+    unknowns = SimpleNamespace(free=np.ones(6, dtype=bool), forces=0, names=tuple("abcdef"))
+    problem, point = SimpleNamespace(unknowns=unknowns), SimpleNamespace(arc=arc, x=np.zeros(6))
+    fit = SimpleNamespace(problem=problem, point=point, covariance=root @ root.T, noise=None)
+    found = fitted_belief(fit, 0.0).covariance  # pyright: ignore[reportArgumentType]
+    assert (found == found.T).all()

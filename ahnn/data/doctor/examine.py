@@ -88,12 +88,13 @@ def diagnosis(
         whole = content._replace(tracks=tuple(track for track in content.tracks if len(track.times)))
         judged = list(whole.tracks[:: -(-len(whole.tracks) // JUDGED)])
         found += sample_findings(whole, gap)
-        if content.momenta and mass is None:
+        stated = CANONICAL if content.general and mass is None else mass
+        if content.momenta and stated is None:
             what = "momenta without a stated mass"
             remedy = f"mass=..., in kg, or mass={CANONICAL}; system.mass= in a training"
             found.append(Finding("fault", file, content.head, content.rates[0], what, remedy))
-        elif not isinstance(mass, str):
-            found += velocity_findings(whole, judged, mass or 1.0)
+        elif not isinstance(stated, str):
+            found += velocity_findings(whole, judged, stated or 1.0)
         found += orbit_findings(whole, judged)
         found += clash(contents[0], content)
     return found + leakage_findings([track for content in contents for track in content.tracks])

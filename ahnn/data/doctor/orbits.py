@@ -8,17 +8,18 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
 from ahnn.data.doctor.finding import Finding
 from ahnn.data.doctor.slopes import slopes
 from ahnn.data.files.content import Content
-from ahnn.data.files.frame_names import ROTATING
+from ahnn.data.files.frame_names import NAMES, ROTATING, known
 from ahnn.data.files.frames import TURN
 from ahnn.data.files.samples import Array, Track
 from ahnn.data.files.units import LENGTH, TIME, unit
+from ahnn.data.reference import Reference
 
 MU = {
     "EARTH": 398600.4418,
@@ -75,19 +76,28 @@ def orbit_findings(content: Content, tracks: list[Track]) -> list[Finding]:
     found: list[tuple[Track, str]] = []
     for track in tracks:
         times, positions = clock.size * track.times, length.size / 1000 * track.values[:, :3]
-        said = hypothesis(times, positions, body, turning=turning)
+        said = hypothesis(times, positions, body, turning=turning, names=content.positions)
         if said:
             found.append((track, said))
     remedy = "Correct the unit or frame; system.frame converts known frames"
     place, name = content.positions[0], (body or "Earth").capitalize()
     if len(found) > 0.9 * len(tracks):
         found = [(found[0][0]._replace(rows=np.full(1, content.head)), found[0][1])]
-    return [
-        Finding(
-            "fault", track.file, int(track.rows[0]), place, f"not an orbit around the {name}: {said}", remedy
-        )
+    what = f"not an orbit around the {name}"
+    return unknown_frame(content) + [
+        Finding("fault", track.file, int(track.rows[0]), place, f"{what}: {said}", remedy)
         for track, said in found
     ]
+
+
+def unknown_frame(content: Content) -> list[Finding]:
+    """Return a note for the name of a frame that cannot be converted, perhaps a misspelled one."""
+    frame = Reference.of(content.frame).frame
+    if not frame or known(frame) or frame.upper().startswith(ROTATING):
+        return []
+    remedy = f"Known frames: {', '.join((*NAMES, 'ITRF'))}"
+    what = f"frame {frame} is unknown: states in it are not converted"
+    return [Finding("warning", content.tracks[0].file, content.head, "", what, remedy)]
 
 
 def without_height(content: Content, tracks: list[Track]) -> list[Finding]:
@@ -112,7 +122,14 @@ def words(frame: str) -> list[str]:
     return frame.upper().replace(",", " ").split()
 
 
-def hypothesis(times: Array, positions: Array, body: str | None, *, turning: bool) -> str:
+def hypothesis(
+    times: Array,
+    positions: Array,
+    body: str | None,
+    *,
+    turning: bool,
+    names: Sequence[str] = ("x", "y", "z"),
+) -> str:
     """Return the unit or frame mistake that explains an orbit (km, s); "" if there is none.
 
     Args:
@@ -120,6 +137,7 @@ def hypothesis(times: Array, positions: Array, body: str | None, *, turning: boo
         positions: (T, 3) in km.
         body: central body; None for any body; mistakes are then tested for Earth orbits.
         turning: whether the stated frame rotates with the Earth.
+        names: columns of the positions.
     """
     mu = [MU[body or "EARTH"]]
     here = misfit(times, positions, mu, turned=turning)
@@ -130,6 +148,10 @@ def hypothesis(times: Array, positions: Array, body: str | None, *, turning: boo
         if left < min(FITS, here / 3):
             frame = "" if turned == turning else TURNS[turned]
             return " and ".join(filter(None, (LENGTHS[length], TIMES[time], frame)))
+    for axis, length in itertools.product(range(3), filter(LENGTHS.get, LENGTHS)):
+        scaled = positions * np.where(np.arange(3) == axis, length, 1.0)
+        if misfit(times, scaled, mu, turned=turning) < min(FITS, here / 3):
+            return LENGTHS[length].replace("positions are", f"{names[axis]} is")
     return ""
 
 

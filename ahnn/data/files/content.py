@@ -44,6 +44,7 @@ class Content(NamedTuple):
         columns: interpretation of each column; empty for self-describing formats.
         controls: names of the control columns, whose values are in the tracks.
         linear: whether controls are interpolated linearly between samples instead of held.
+        general: whether the momenta are stated not to be mass times velocity.
     """
 
     positions: tuple[str, ...]
@@ -59,6 +60,7 @@ class Content(NamedTuple):
     columns: tuple[Column, ...] = ()
     controls: tuple[str, ...] = ()
     linear: bool = False
+    general: bool = False
 
     @property
     def measured_controls(self) -> tuple[str, ...]:

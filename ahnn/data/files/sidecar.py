@@ -11,6 +11,7 @@ import yaml
 
 from ahnn.arguments import nearest
 from ahnn.contents import plain_yaml
+from ahnn.data.files.content import CANONICAL
 from ahnn.data.files.table import Header, Place
 from ahnn.data.files.unit_suffixes import with_suffixes
 from ahnn.errors import UserError
@@ -20,7 +21,7 @@ from ahnn.manifest import require_own
 SUFFIXES = (".yaml", ".yml")
 TABLES = (".csv", ".txt", ".parquet", ".jsonl", ".json")
 """Extensions of tables that a sidecar describes."""
-KEYS = ("units", "columns", "frame", "controls", "objects")
+KEYS = ("units", "columns", "frame", "controls", "objects", "mass")
 OTHERWISE = "If it is not the sidecar of the data file of the same name, rename one of them"
 """Remedy for a file that describes something else."""
 WIDTH = 110
@@ -39,6 +40,7 @@ class Sidecar(NamedTuple):
         frame: reference frame of the positions.
         controls: behaviour between samples, one of `BETWEEN`.
         objects: names of satellites by their identifiers, such as {2026-001A: MYGTO}.
+        mass: `CANONICAL` for momenta that are not mass times velocity; "" otherwise.
     """
 
     units: dict[str, str] = {}  # noqa: RUF012 - never written to
@@ -46,6 +48,7 @@ class Sidecar(NamedTuple):
     frame: str = ""
     controls: str = BETWEEN[0]
     objects: dict[str, str] = {}  # noqa: RUF012 - never written to
+    mass: str = ""
 
 
 def beside(path: Path) -> Path:
@@ -68,7 +71,9 @@ def parse(text: str, file: str) -> Sidecar:
     for key, value in given.items():
         if key not in KEYS:
             Place(file).refuse(f"keys {', '.join(KEYS)}", repr(key) + nearest(str(key), KEYS), OTHERWISE)
-        if not isinstance(value, str if key in ("frame", "controls") else dict):
+        if key == "mass" and value != CANONICAL:
+            Place(file).refuse(f"mass: {CANONICAL}", repr(value), "Give a number as system.mass")
+        if not isinstance(value, str if key in ("frame", "controls", "mass") else dict):
             Place(file).refuse(f"{key}: {'a name' if key == 'frame' else 'names with values'}", repr(value))
         if key == "controls" and value not in BETWEEN:
             Place(file).refuse(f"controls: {' or '.join(BETWEEN)}", repr(value))
@@ -103,7 +108,7 @@ def written(path: Path, said: Sidecar, remarks: Iterable[str] = ()) -> bytes:
     for remark in remarks:
         plain = "".join(sign if sign.isprintable() or sign.isspace() else "?" for sign in remark)
         about += "".join(f"# {line}\n" for line in textwrap.wrap(plain, WIDTH))
-    usual = {"controls": BETWEEN[0], "objects": {}}.items()
+    usual = {"controls": BETWEEN[0], "objects": {}, "mass": ""}.items()
     plain = {key: value for key, value in said._asdict().items() if (key, value) not in usual}
     return f"{about}{yaml.safe_dump(plain, sort_keys=False)}".encode()
 

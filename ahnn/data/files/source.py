@@ -73,6 +73,7 @@ class Files(Recordings):
             contents.append(parsed(file, raw, aside, self.reading))
         contents = since_first(contents)
         first = together(self.paths, contents)
+        mass = CANONICAL if first.general and mass is None else mass
         if first.momenta and mass is None:
             message = (
                 f"system.mass: expected the mass in p = m dq/dt for the momenta {', '.join(first.rates)} in "

@@ -10,7 +10,7 @@ import numpy as np
 
 from ahnn.data.files import epochs
 from ahnn.data.files.columns import BESIDE, Roles, is_deviation, roles
-from ahnn.data.files.content import Column, Content
+from ahnn.data.files.content import CANONICAL, Column, Content
 from ahnn.data.files.frame_names import canonical
 from ahnn.data.files.frames import TO_TT
 from ahnn.data.files.samples import Array, Track, by_id, ordered
@@ -69,7 +69,7 @@ def of_sheet(
         first = Place(file, int(sheet.rows[0]), header.names[found.time])
         received = repr(str(sheet.columns[found.time][0]))
         first.refuse(f"a date, since the header names the time scale {scale}", received, NOT_A_DATE)
-    by = scales(header, found, place, weighed=weighed)
+    by = scales(header, found, place, weighed=weighed or sidecar.mass == CANONICAL)
     if times is None:
         times = numbers(sheet, found.time, note)
     columns = [numbers(sheet, column, note) for column in (*found.positions, *found.rates)]
@@ -88,7 +88,9 @@ def of_sheet(
         Column(name, found.of(i), unit)
         for i, (name, unit) in enumerate(zip(header.names, units, strict=True))
     )
-    about = epoch, clock, name, head, columns, controls, linear
+    if (general := sidecar.mass == CANONICAL) and not momenta:
+        place.refuse(f"momenta, since the sidecar states mass: {CANONICAL}", ", ".join(rates) or "positions")
+    about = epoch, clock, name, head, columns, controls, linear, general
     return unwrapped(Content(positions, rates, momenta, by.units, frame, tracks, *about), note)
 
 

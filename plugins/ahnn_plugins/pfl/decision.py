@@ -91,7 +91,8 @@ def checked(settings: Settings) -> Settings:
     if settings.fit_epochs > settings.target_epoch:
         message = (
             f"fit_epochs: expected at most target_epoch, {settings.target_epoch}, the last epoch of a run; "
-            f"received {settings.fit_epochs}"
+            f"received {settings.fit_epochs}. Train for more epochs, set callbacks.pfl.fit_epochs, or switch "
+            "the pruner off with callbacks.pfl=null"
         )
         raise UserError(message)
     return settings

@@ -91,6 +91,15 @@ def test_the_mistake_is_named_that_makes_an_orbit_of_it():
         assert hypothesis(clock * t, length * q, None, turning=False).startswith(said)
 
 
+@pytest.mark.parametrize(("axis", "factor", "said"), [(1, 1e3, "too large"), (2, 1e-3, "too small")])
+def test_one_column_in_another_unit_is_named(axis, factor, said):
+    t, q = circle()
+    wrong = q * np.where(np.arange(3) == axis, factor, 1.0)
+    name = "xyz"[axis]
+    assert hypothesis(t, wrong, "EARTH", turning=False).startswith(f"{name} is 1000 times {said}")
+    assert hypothesis(t, wrong, None, turning=False, names=("a", "b", "c")).startswith("abc"[axis])
+
+
 @pytest.mark.parametrize("share", [0.5, 0.99, 1.01, 1.3])
 def test_a_misfit_is_the_relative_difference_of_the_attractions(share):
     t, q = circle(mu=share * MU["EARTH"])
@@ -204,6 +213,17 @@ def test_another_body_is_judged_by_its_own_attraction():
     given = [Track("", "a.csv", 2 + np.arange(len(t)), t, 1000 * q)]
     (one,) = orbit_findings(content(given, frame="ICRF, MOON"), given)
     assert one.what.startswith("not an orbit around the Moon: positions are 1000 times too large")
+
+
+@pytest.mark.parametrize(
+    ("frame", "unknown"),
+    [("J2001, EARTH", True), ("J2000, EARTH", False), ("ITRF2014", False), ("EFG", False), ("", False)],
+)
+def test_a_frame_that_cannot_be_converted_is_named(frame, unknown):
+    t, q = circle()
+    given = [Track("", "a.csv", 2 + np.arange(len(t)), t, 1000 * q)]
+    found = [one.what for one in orbit_findings(content(given, frame=frame), given) if one.level == "warning"]
+    assert found == ["frame J2001 is unknown: states in it are not converted"] * unknown
 
 
 def test_the_centre_and_too_few_samples_tell_nothing():

@@ -99,13 +99,13 @@ def test_a_fault_is_named_with_its_place(tmp_path, fault):
     ("sidecar", "expected"),
     [
         ("a: [", "data.yaml: expected YAML"),
-        (
-            "unit: {x: km}",
-            "expected keys units, columns, frame, controls, objects; received 'unit'; did you mean 'units'?",
-        ),
+        ("unit: {x: km}", "objects, mass; received 'unit'; did you mean 'units'?"),
         ("measurements: od.csv", "If it is not the sidecar of the data file of the same name, rename one of"),
         ("units: {z: km}", "expected a column 'z' (units)"),
         ("units: {x: m}", "column x: expected [m], as in the sidecar; received [km]. State it once"),
+        ("mass: 2", "data.yaml: expected mass: canonical; received 2. Give a number as system.mass"),
+        ("mass: '2'", "data.yaml: expected mass: canonical; received '2'. Give a number as system.mass"),
+        ("mass: canonical", "expected momenta, since the sidecar states mass: canonical; received vx"),
         ("columns: {time: s}", "expected a column 's' (time)"),
         ("columns: {times: t}", "expected one of the roles time, id, positions, velocities, momenta"),
         ("columns: {time: [t, x]}", "data.yaml: expected one column (time); received time: ['t', 'x']"),
