@@ -27,6 +27,7 @@ from ahnn.dynamics import has_field
 from ahnn.dynamics.variations import jacobians_of_steps
 from ahnn.errors import TrainingError, UserError
 from ahnn.evaluation.goodness_of_fit import OUTLYING
+from ahnn.labels import quantity
 from ahnn.measurements import Instrument, Locating, Segment, Several, State
 from ahnn.measurements.smoothing import guess, located_at
 from ahnn.runs import Run
@@ -119,10 +120,11 @@ def fitted_start(
         )
         raise TrainingError(message)
     covariance = max(1.0, chi_square) * covariance_of(run, best, bias_sd)
-    log.info(
-        "start: fitted to the first %d measurements, up to line %d (%s): %s; the filter continues after them",
-        *(len(lines), lines[-1][0], quality, state_text(last[0], covariance, run.space)),
+    moment, state = clock.said(float(segment.times[0, -1])), state_text(last[0], covariance, run.space)
+    what = (
+        "start: fitted to the first %d measurements, up to line %d (%s): at %s, %s; the filter goes on there"
     )
+    log.info(what, len(lines), lines[-1][0], quality, moment, state)
     start = Starts(numbered(1), last, segment.times[:, -1], covariances=covariance[None])
     return FittedStart(start, lines[-1][0])
 
@@ -266,7 +268,9 @@ def covariance_of(run: Run, best: BestFit, bias_sd: Tensor) -> Tensor:
 
 
 def state_text(state: Tensor, covariance: Tensor, space: Space) -> str:
-    """Format a state (D,) with standard deviations."""
+    """Format a state (D,) with standard deviations and units."""
     values, sds = (state / space.scales).tolist(), (covariance.diagonal().sqrt() / space.scales).tolist()
-    names = track_names(space)
-    return ", ".join(f"{n} {v:.6g} ± {sd:.2g}" for n, v, sd in zip(names, values, sds, strict=True))
+    texts = [f"{n} {v:.6g} ± {sd:.2g}" for n, v, sd in zip(track_names(space), values, sds, strict=True)]
+    halves = texts[: space.dof], texts[space.dof :]
+    units = (quantity(space, name)[1] for name in ("position", "velocity"))
+    return ", ".join(f"{', '.join(half)} {unit}" for half, unit in zip(halves, units, strict=True))

@@ -183,7 +183,9 @@ def entries_of(setup: OrbitSetup, folder: Path, data: TrackingData) -> dict[str,
             message = (
                 f"stations.{name}: expected [latitude, longitude, height] in degrees and m; received None"
             )
-            raise UserError(message + nearest(name, tuple(known)))
+            raise UserError(
+                message + nearest(name, tuple(known), f"; known are {', '.join(known) or 'none'}")
+            )
         require_event(known[name], name, data)
     return known
 
