@@ -23,6 +23,7 @@ from ahnn.labels import quantity
 TRAINING = {"W": "window", "seconds": "seconds", "val loss": "val_loss"}
 """Columns of training information; losses over windows of different W are not comparable."""
 QUANTITIES = ("position", "velocity", "energy")
+SEED = "seed="
 OF_SWEEPER = ("trial=", "hydra.sweep.subdir=")
 WORSE = 10.0
 """Ratio of errors over whole trajectories from which a least loss is called misleading."""
@@ -54,7 +55,12 @@ def sweep_table(folder: Path, jobs: list[Path]) -> Table:
         cells = [*missing, "pruned" if pruned else "no scores"] if values is None else values
         own = OverrideCell([rounded(text) for text in texts if text not in common])
         table.add_row(job.name, own, *cells, style="red" if values is None and not pruned else None)
-    table.caption = "W: steps in the loss; losses for different W are not comparable. Scores: true start."
+    units = {tuple(quantity(space, name)[1] for name in QUANTITIES) for space in spaces}
+    known = f", in {', '.join(*units)}" if len(units) == 1 else ""
+    about = "W: steps in the loss; losses for different W are not comparable. Scores: true start"
+    table.caption = f"{about}{known}."
+    if any(text.startswith(SEED) for texts in asked for text in texts if text not in common):
+        table.caption += f"\nMeans and spreads over seeds: python -m ahnn.report {folder}"
     if remark := contradiction({job.name: one for job, one in zip(jobs, found, strict=True) if one}):
         table.caption += f"\n{remark}"
     table.caption_justify = "left"

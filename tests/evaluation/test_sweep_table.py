@@ -53,6 +53,16 @@ def test_each_job_has_its_row(sweep, capsys):
         assert line[1:] == [f"window={line[0]}", *["-"] * 5, "no", "scores"]
 
 
+@pytest.mark.parametrize("varied", ["seed", "window"])
+def test_units_are_stated_and_seeds_lead_to_their_report(sweep, varied):
+    folder, jobs = sweep
+    for job in jobs:
+        (job / ".hydra" / "overrides.yaml").write_text(f"- {varied}={job.name}\n- model=ahnn\n")
+    caption = str(sweep_table(folder, jobs).caption)
+    assert "Scores: true start, in m, m/s, J." in caption
+    assert (f"Means and spreads over seeds: python -m ahnn.report {folder}" in caption) == (varied == "seed")
+
+
 @pytest.mark.parametrize(("other", "window", "told"), [(0.1, 5, True), (0.2, 5, False), (0.1, 3, False)])
 def test_a_least_loss_beside_a_far_smaller_error_is_said(sweep, capsys, other, window, told):
     """Job 0 with an error of 1.25 has the least loss; job 3 has a tenth of it or less, or another window."""
