@@ -25,6 +25,8 @@ EVEN, SPREAD, LEAST = 0.1, 4.0, 1e-6
 """Outlier criteria: maximum deviation of the neighbours that the sample does not explain, in parts of its own
 plus typical ones, and minimum deviation relative to the largest value.
 """
+SHARE_OF_POSITIONS = 1e-7
+"""Smallest noise reported for positions alone, relative to increments: they are learned as measurements."""
 JUMP = 30.0
 """Step into a run of values on another scale, in typical steps."""
 WIDE, NEAR = 100.0, 10.0
@@ -242,9 +244,10 @@ def noise(content: Content, names: tuple[str, ...], gap: float) -> Iterator[Find
     file, plateau = content.tracks[0].file, differences_level(samples, times)
     found = noise_floor(samples, times)
     rare = (plateau > SHARE * typical) & found.isnan()
+    alone = len(names) == len(content.positions)
+    least = SHARE_OF_POSITIONS if alone else SHARE
     for c, (name, level, step) in enumerate(zip(names, found.tolist(), typical.tolist(), strict=True)):
-        if level > SHARE * step > 0:
-            alone = len(names) == len(content.positions)
+        if level > least * step > 0:
             remedy = f"Train with data.noise={f'{level:.2g}' if alone else 'estimate'}"
             what = f"noise of about {of_column(content, c, level)}"
             yield Finding("note", file, content.head, name, what, remedy)

@@ -137,15 +137,16 @@ def tensors(values):
 
 
 @pytest.mark.parametrize(("times", "told"), [(0.99, False), (1.01, True)])
-def test_noise_is_told_from_a_ten_thousandth_of_the_usual_step_on(times, told):
+@pytest.mark.parametrize(("rates", "share"), [((), 1e-7), (("v",), 1e-4)])
+def test_noise_is_told_from_a_share_of_the_usual_step_on(times, told, rates, share):
     """A straight line has no differences of high order: its noise alone says how steep it may be."""
     draw = np.random.default_rng(0).standard_normal(2001)
     level = float(noise_floor(*tensors(draw)))
-    line = level / 1e-4 / times * np.arange(2001)
-    found = list(noise(content(track(line + draw), units=("s", "m")), ("q",), 10.0))
-    assert [(one.level, one.what) for one in found] == (
-        [("note", f"noise of about {level:.2g} m")] if told else []
-    )
+    line = level / share / times * np.arange(2001)
+    noisy = np.stack([line + draw] * (1 + len(rates)), axis=1)
+    found = list(noise(content(track(noisy), units=("s", "m"), rates=rates), ("q", *rates), 10.0))
+    assert [one.level for one in found] == ["note"] * (1 + len(rates)) * told
+    assert all(one.what.startswith(f"noise of about {level:.2g}") for one in found)
 
 
 def test_noise_takes_eleven_samples_at_any_steps():
