@@ -35,6 +35,7 @@ MISTAKES = {
     "system=molniya system.inclinatoin=[1,2]": "did you mean 'system.inclination'?",
     "lr=0.1": "did you mean 'optimizer.lr'?",
     "optimizer=adamw optimizer.learning_rate=0.1": "did you mean 'optimizer.lr'?",
+    "optimizer=adamw optimiser.lr=0.1": "did you mean 'optimizer.lr'?",
     "optimizer=levenberg_marquardt optimizer.learning_rate=1e-3": "Use recipe=first_order optimizer.lr=VALUE",
     "optimizer=levenberg_marquardt optimizer.lr=1e-3": "this optimiser has no learning rate. Use recipe=fir",
     "network.width=32": "unknown key 'network.width'; did you mean 'model.network.width'?",
