@@ -65,7 +65,8 @@ def _filters(board: Board) -> Iterator[str]:
     entries = board.entries
     kept = sum((entry.folder / PREDICTIONS).is_file() for entry in entries)
     if kept < len(entries):
-        yield f"{len(entries) - kept} of {len(entries)} runs kept no predictions, so figures over time omit them."
+        without = f"{len(entries) - kept} of {len(entries)} runs kept no predictions"
+        yield f"{without}, so figures over time omit them."
     rows = [any(r.who.estimator and r.who.process == MODEL for r in e.results.rows) for e in entries]
     if not any(rows):
         later = any((entry.folder / "evaluations").is_dir() for entry in entries)

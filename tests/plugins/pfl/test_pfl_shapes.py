@@ -125,7 +125,9 @@ def test_counts_that_leave_nothing_to_forecast_are_refused(fit_epochs, target, f
     if fits:
         assert checked(settings) is settings
         return
-    with pytest.raises(Exception, match=r"fit_epochs: expected (int >= 4|at most target_epoch.* callbacks.pfl=null)"):
+    with pytest.raises(
+        Exception, match=r"fit_epochs: expected (int >= 4|at most target_epoch.* callbacks.pfl=null)"
+    ):
         checked(settings)
 
 
