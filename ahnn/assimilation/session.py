@@ -203,7 +203,7 @@ class Session(StreamSession):
             name = reading.sensor or next(iter(self.filter.sensors))
             self.ratios.close(name)
             log.info("line %d: %s %s", number, label, words)
-            if not self.numbers:
+            if not self.numbers and self.counts["reopened"] == 1:
                 log.warning(UNLIKELY, self.counts["rejected"])
             if suspicion := self.ratios.sentence(name):
                 message = (

@@ -12,7 +12,7 @@ from ahnn.clock import Clock, extended
 from ahnn.jobs.prepared import Prepared
 from ahnn.rollouts import clock_of
 from ahnn.systems import exact_flow
-from ahnn.training.closing_estimate import shooting_cost, work
+from ahnn.training.closing_estimate import ShootingCost, work
 from ahnn.training.timers import sum_seconds
 from ahnn.types import Flow
 
@@ -26,10 +26,11 @@ FIGURES = 850.0
 """Measured cost of figures and their imports, in units of a sum in Python."""
 
 
-def evaluation_seconds(prepared: Prepared) -> float:
+def evaluation_seconds(prepared: Prepared, shooting: ShootingCost | None = None) -> float:
     """Estimate the time of predictions, filters, tests and figures in seconds.
 
     A plugin's method `rollouts` returns its cost for a given number of samples, in rollouts over them.
+    `shooting` is the measured cost of shooting, for a training on measurements.
     """
     data, plan = prepared.data, prepared.assessment
     test, dynamics = data.splits["test"], prepared.model.dynamics.frozen().cpu()
@@ -45,8 +46,8 @@ def evaluation_seconds(prepared: Prepared) -> float:
     costs = (getattr(plugin, "rollouts", None) for plugin in plan.plugins.values())
     more = sum(cost(samples) for cost in costs if cost is not None)
     seconds += samples * each * (1 + FILTERED * filters + more)
-    if data.stages is not None:
-        seconds += TESTS * shooting_cost(prepared.model, data).iteration * work(data.measured("test").times)
+    if shooting is not None:
+        seconds += TESTS * shooting.iteration * work(data.measured("test").times)
     return seconds
 
 

@@ -13,6 +13,7 @@ from ahnn.loading import load
 from ahnn.models import AbstractModel
 from ahnn.progress import about, stage
 from ahnn.training.callbacks.training_time import timed_fit
+from ahnn.training.closing_estimate import shooting_cost
 from ahnn.training.cuda_graph import RecordedStep, can_record
 from ahnn.training.runtime_estimate import expected_seconds
 from ahnn.uncertainty import find_domain
@@ -69,7 +70,9 @@ def announce(prepared: Prepared) -> None:
     per_epoch = -(-len(data.train_dataloader()) // trainer.accumulate_grad_batches)
     epochs = range(done // per_epoch, int(trainer.max_epochs or 1))
     with stage("timing some steps"):
-        seconds = expected_seconds(trainer, data, model, per_epoch, epochs) + evaluation_seconds(prepared)
+        shooting = None if data.stages is None else shooting_cost(model, data)
+        seconds = expected_seconds(trainer, data, model, per_epoch, epochs, shooting)
+        seconds += evaluation_seconds(prepared, shooting)
     log.info(
         "training %s on %s: %s optimiser steps of %d windows in %d epochs%s, %s with evaluation",
         prepared.label,

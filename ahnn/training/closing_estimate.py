@@ -55,17 +55,22 @@ class ShootingCost(NamedTuple):
     quartered: bool
 
 
-def closing_seconds(model: Any, data: WindowDataModule, robust: RobustName) -> float:
-    """Return the time of the closing stage; its numbers of iterations are those of typical trainings."""
-    times, cost = data.measured("train").times, shooting_cost(model, data)
-    fits = FITS if robust == "none" else ROBUST_FITS
-    fits += STEP_FITS * model.curriculum.closing
-    steps = work(times) * (QUARTERED if cost.quartered else 1)
+def closing_seconds(cost: ShootingCost, times: Tensor, robust: RobustName, steps: int) -> float:
+    """Return the time of the closing stage; its numbers of iterations are those of typical trainings.
+
+    Args:
+        cost: measured cost of an iteration.
+        times: (B, T) times of all training measurements.
+        robust: robust loss of residuals.
+        steps: maximum number of parameter steps.
+    """
+    fits = (FITS if robust == "none" else ROBUST_FITS) + STEP_FITS * steps
+    amount = work(times) * (QUARTERED if cost.quartered else 1)
     ranked = min(LASTING * times.shape[1], RANKED)
-    return steps * (fits * cost.iteration + EQUATIONS * cost.equations) + DIRECTIONS * ranked * sum_seconds()
+    return amount * (fits * cost.iteration + EQUATIONS * cost.equations) + DIRECTIONS * ranked * sum_seconds()
 
 
-def work(times: torch.Tensor) -> float:
+def work(times: Tensor) -> float:
     """Return the work of a batch of segments with these times (B, T), in steps of one segment."""
     rows, samples = times.shape
     return float(samples * (rows + ROWS))
@@ -97,4 +102,4 @@ def shooting_cost(model: Any, data: WindowDataModule) -> ShootingCost:
     equations = median_seconds(lambda: problem.equations(theta, sizes))  # with the paths of the last call
     amount, states = work(batch.times), problem.fitted.states
     quartered = coarse(cast(HasField, dynamics).field, states, problem.steps.lengths)
-    return ShootingCost((whole_cost - equations) / amount, equations / amount, quartered)
+    return ShootingCost(max(whole_cost - equations, 0.0) / amount, equations / amount, quartered)

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 
 from ahnn.data.datamodule import WindowDataModule
-from ahnn.training.closing_estimate import closing_seconds, work
+from ahnn.training.closing_estimate import ShootingCost, closing_seconds, work
 from ahnn.training.objectives import Objective
 from ahnn.training.timers import median_seconds, seconds_of
 
@@ -24,7 +24,12 @@ REFITTED = 0.5
 
 
 def expected_seconds(
-    trainer: Any, data: WindowDataModule, model: Any, per_epoch: int, epochs: range
+    trainer: Any,
+    data: WindowDataModule,
+    model: Any,
+    per_epoch: int,
+    epochs: range,
+    shooting: ShootingCost | None = None,
 ) -> float:
     """Estimate the remaining time of a run in seconds: steps, validations and callbacks.
 
@@ -34,11 +39,12 @@ def expected_seconds(
         model: calibrated model, which is not modified.
         per_epoch: optimiser steps per epoch.
         epochs: remaining epochs, counted from 0.
+        shooting: measured cost of shooting, for a training on measurements; None without one.
     """
     timed = [callback for callback in trainer.callbacks if hasattr(callback, "seconds")]
     total = sum(c.seconds(epoch, trainer, model, data) for epoch in epochs for c in timed)
-    if data.stages is not None:
-        return total + _on_measurements(model, data, per_epoch, epochs)
+    if shooting is not None:
+        return total + _on_measurements(model, data, per_epoch, epochs, shooting)
     validation, of_step = _validation_seconds(model, data), dict[Objective, float]()
     for epoch in epochs:
         objective = model.curriculum.at(epoch, epochs.stop)
@@ -48,14 +54,18 @@ def expected_seconds(
     return total
 
 
-def _on_measurements(model: Any, data: WindowDataModule, per_epoch: int, epochs: range) -> float:
+def _on_measurements(
+    model: Any, data: WindowDataModule, per_epoch: int, epochs: range, shooting: ShootingCost
+) -> float:
     """Return the time of steps, validations and the closing stage, in proportion to their work.
 
     The first stage is timed, since over long segments paths of untrained dynamics are abandoned early.
     """
     objective = model.curriculum.at(0, epochs.stop)
     each = step_seconds(model, data, objective) / work(next(iter(data.train_dataloader())).times)
-    return closing_seconds(model, data, objective.robust) + each * sum(amounts(data, per_epoch, epochs))
+    times, steps = data.measured("train").times, model.curriculum.closing
+    last = closing_seconds(shooting, times, objective.robust, steps)
+    return last + each * sum(amounts(data, per_epoch, epochs))
 
 
 def amounts(data: WindowDataModule, per_epoch: int, epochs: range) -> list[float]:

@@ -96,7 +96,7 @@ def test_controls_that_a_table_interpolates_push_by_their_integral():
     )
     assert float(estimate.mean[1]) == pytest.approx(MEAN[1] + trapezoid(pushed, fine), rel=1e-9)
     assert float(estimate.mean[0]) == pytest.approx(
-        MEAN[0] + MEAN[1] * 2.6 + np.trapezoid(pushed * (2.6 - fine), fine), rel=1e-9
+        MEAN[0] + MEAN[1] * 2.6 + trapezoid(pushed * (2.6 - fine), fine), rel=1e-9
     )
 
 

@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from ahnn.jobs import evaluation_estimate
-from ahnn.jobs.evaluation_estimate import evaluation_seconds
+from ahnn.jobs.evaluation_estimate import TESTS, evaluation_seconds
+from ahnn.training.closing_estimate import ShootingCost
 
 
 class Timed:
@@ -47,10 +48,12 @@ def test_rollouts_of_a_flow_of_time_and_of_a_plugin_count(plugins, rollouts, mon
         source=SimpleNamespace(truth=None),
         examples=lambda: torch.rand(3, 2),
         statistics=lambda: SimpleNamespace(dt=0.5),
-        stages=None,
+        measured=lambda _: SimpleNamespace(times=torch.zeros(4, 50)),
     )
     report = SimpleNamespace(report={"figures": False}, plugins=plugins)
     prepared: Any = SimpleNamespace(data=data, assessment=report, model=SimpleNamespace(dynamics=flow))
     monkeypatch.setattr(evaluation_estimate.time, "perf_counter", lambda: flow.now)
     assert evaluation_seconds(prepared) == pytest.approx(200 * 0.01 * rollouts)
     assert set(flow.shapes) == {((8, 4), 0.5)}
+    cost = ShootingCost(1e-3, 0.0, quartered=False)  # an iteration of 4 segments of 50 samples takes 5.2 s
+    assert evaluation_seconds(prepared, cost) == pytest.approx(200 * 0.01 * rollouts + TESTS * 5.2)

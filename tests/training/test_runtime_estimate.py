@@ -68,12 +68,11 @@ def test_last_steps_and_the_covariance_count_by_all_measurements(first, steps, q
     """A step of 200 segments takes 1 s, one of 50 longer ones 2 s; an iteration 0.2 s, equations 0.1 s."""
     monkeypatch.setattr(runtime_estimate, "step_seconds", lambda *_: 1.0)
     cost = closing_estimate.ShootingCost(1e-4, 5e-5, quartered)
-    monkeypatch.setattr(closing_estimate, "shooting_cost", lambda *_: cost)
     monkeypatch.setattr(closing_estimate, "sum_seconds", lambda: 0.01)
     at = lambda epoch, epochs: first if (epoch, epochs) == (0, 2) else None  # noqa: E731
     curriculum = SimpleNamespace(at=at, closing=steps)
     model, trainer = SimpleNamespace(curriculum=curriculum), SimpleNamespace(callbacks=[])
-    seconds = runtime_estimate.expected_seconds(trainer, Data(), model, 3, range(2))  # pyright: ignore
+    seconds = runtime_estimate.expected_seconds(trainer, Data(), model, 3, range(2), cost)  # pyright: ignore
     validation = 0.5 * 10 * (20 + 100) / (5 * (200 + 100))
     directions = 0.01 * 4 * 10
     equations = 5 * 0.1 * (4 if quartered else 1)
@@ -176,4 +175,11 @@ def test_steps_that_the_closing_stage_quarters_are_noticed():
     )
     found = closing_estimate.shooting_cost(SimpleNamespace(dynamics=Swing(2.5, 0.5)), data)  # pyright: ignore
     assert found.quartered
-    assert found.iteration > 0 < found.equations
+    assert found.iteration >= 0 < found.equations
+
+
+def test_what_is_timed_once_is_done_once_before(monkeypatch):
+    done = []
+    monkeypatch.setattr(timers.time, "perf_counter", lambda: {0: 0.0, 1: 0.08, 2: 0.09}[len(done)])
+    assert timers.median_seconds(lambda: done.append(0)) == pytest.approx(0.01)
+    assert len(done) == 2

@@ -91,7 +91,7 @@ def orbit_findings(content: Content, tracks: list[Track]) -> list[Finding]:
 
 
 def unknown_frame(content: Content) -> list[Finding]:
-    """Return a note for the name of a frame that cannot be converted, perhaps a misspelled one."""
+    """Return a warning for the name of a frame that cannot be converted, perhaps a misspelled one."""
     frame = Reference.of(content.frame).frame
     if not frame or known(frame) or frame.upper().startswith(ROTATING):
         return []
