@@ -18,6 +18,7 @@ from ahnn.evaluation.friction_test import friction_test
 from ahnn.evaluation.goodness_of_fit import explain
 from ahnn.evaluation.open_loop import open_loop
 from ahnn.evaluation.residual_diagnosis import diagnosis, invisible
+from ahnn.evaluation.textbook_orbit import remedy, textbook_forecasts, textbook_row
 from ahnn.evaluation.titles import described
 from ahnn.evaluation.trajectory_figures import open_loop_figures
 from ahnn.evaluation.verdict import verdict
@@ -66,6 +67,7 @@ def add_tests(case: Case, findings: Findings, *, figures: bool) -> Worth:
     """Add the tests of the model without filters, and return the comparison with baselines."""
     show("baselines")
     value = add_worth(case, findings)
+    add_textbook(case, findings)
     add_constants(case, findings)
     if case.uncertainty is not None:  # first, since it may explain a poor fit
         findings.tell(case.uncertainty.unfinished, findings.faults)
@@ -174,6 +176,20 @@ def add_worth(case: Case, findings: Findings) -> Worth:
         findings.tell(timed.sentence(), findings.faults)
         findings.numbers["time_test"] = timed._asdict()
     return found
+
+
+def add_textbook(case: Case, findings: Findings) -> None:
+    """Add the errors of textbook physics for recorded orbits about the Earth."""
+    show("textbook physics")
+    if (there := textbook_row(case)) is not None:
+        row, findings.arrays["textbook_true_start"] = there
+        findings.rows.append(row)
+        model = findings.rows[0].scores.position
+        findings.tell(remedy(case, model, row.scores.position), findings.faults)
+    if (beside := textbook_forecasts(case)) is not None:
+        findings.tell(beside.sentence())
+        findings.tell(remedy(case, beside.model, beside.textbook), findings.faults)
+        findings.numbers["textbook_forecasts"] = beside._asdict()
 
 
 def add_constants(case: Case, findings: Findings) -> None:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from ahnn.evaluation.case import Row, Who
 from ahnn.evaluation.results import Results
 from ahnn.evaluation.terminal import WIDTH
-from ahnn.evaluation.titles import MODEL, described, estimator_title, title
+from ahnn.evaluation.titles import MODEL, TEXTBOOK, described, estimator_title, title
 from ahnn.labels import headed, quantity
 from ahnn.numbers import in_percent
 
@@ -152,6 +152,8 @@ def _explanations(results: Results) -> Iterator[str]:
     floors = dict.fromkeys(title(row.who, results.label) for row in results.rows if row.who.floor)
     if floors:
         yield from _wrapped(f"floor: score of perfect knowledge ({'; '.join(floors)}).")
+    if any(row.who.process == TEXTBOOK for row in results.rows):
+        yield from _wrapped(f"{TEXTBOOK}: a satellite of the oblate Earth, without learning.")
     if about := about_fitted(results.rows):
         yield from _wrapped(about)
     if any(row.who.span == "settled" for row in results.rows):

@@ -6,6 +6,8 @@ from ahnn.evaluation.case import Who
 
 MODEL = "model"
 """Process name in the rows of the trained model."""
+TEXTBOOK = "two bodies and J2"
+"""Process name in the rows of textbook physics for recorded orbits."""
 
 SPANS = {"whole": "", "settled": "settled"}
 
