@@ -18,7 +18,7 @@ from ahnn.data.files.kinds import NO_STATION, SIGHTING_COLUMNS, SIGHTINGS_ALONE
 from ahnn.data.files.table import MISSING, Fault, Note, Place, column_of, read_csv, refuse, within
 from ahnn.tracking.formats.gathered import TrackingReading, gathered, measured
 from ahnn.tracking.formats.instants import CLOCKS, utc_moment
-from ahnn.tracking.formats.tracking_sidecar import COLUMNS, TrackingSidecar
+from ahnn.tracking.formats.tracking_sidecar import TrackingSidecar
 from ahnn.tracking.tracking_data import KINDS, UNITS, Kind, TrackingData
 
 TIMES, STATIONS, OBJECTS = ("time", "t", "epoch"), ("station", "sensor"), ("object", "satellite", "id")
@@ -105,11 +105,10 @@ def roles_of(
     if clock not in CLOCKS:
         place._replace(column=names[time]).refuse(f"one of the time scales {', '.join(CLOCKS)}", repr(clock))
     values, deviations = dict[Kind, tuple[int, float]](), dict[Kind, tuple[int, float]]()
-    groups: dict[Kind, str] = {kind: group for group, kinds in COLUMNS.items() for kind in kinds}
     for k, (cell, unit) in enumerate(parts):
         kind: Kind | None = next((one for one in KINDS if cell.removeprefix(SD) == one), None)
         if kind is not None:
-            unit = unit or given[k] or said.units.get(groups[kind])
+            unit = unit or given[k] or said.units.get(kind)
             where = place._replace(column=cell)
             halved = 0.5 if said.two_way == "whole" and kind.startswith("range") else 1.0
             target = deviations if cell.startswith(SD) else values
@@ -118,7 +117,7 @@ def roles_of(
         place.refuse(f"at least one of the columns {', '.join(KINDS)}", ", ".join(names))
     stated = dict[Kind, float]()
     for kind, (_, factor) in values.items():
-        if (sd := said.deviations.get(groups[kind])) is not None:
+        if (sd := said.deviations.get(kind)) is not None:
             stated[kind] = sd * factor
     return SightingColumns(time, station, clock, one[2][0] if one[2] else None, values, deviations, stated)
 

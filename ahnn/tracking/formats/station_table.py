@@ -62,7 +62,7 @@ def table_data(text: str, file: str, said: TrackingSidecar, note: Note = refuse)
                 note(fault)
     if not found:
         Place(file).refuse("a measurement: epoch, kind, station and numbers", "none")
-    assumed = ", ".join(f"{kind} in {unit_of(kind, said)[0]}" for kind in sorted(kinds))
+    assumed = ", ".join(f"{kind} in {unit_of(COLUMNS[kind][0], said)}" for kind in sorted(kinds))
     remarks = () if said.given else (f"no sidecar: {assumed} and epochs of reception in UTC are assumed",)
     return [gathered(said.object, found, said.event, remarks)]
 
@@ -77,15 +77,15 @@ def reading_of(cells: list[str], place: Place, said: TrackingSidecar) -> Trackin
         place.refuse(f"epoch, {kind}, station and {' and '.join(columns)}", f"{len(cells)} values")
     moment = utc_moment(cells[0], place._replace(column="epoch"), said.clock)
     halved = 0.5 if said.two_way == "whole" and kind.startswith("RANGE") else 1.0
-    factor, values = halved * unit_of(kind, said)[1], dict[Kind, float]()
+    values, deviations = dict[Kind, float](), dict[Kind, float]()
     for column, cell in zip(columns, cells[3:], strict=True):
+        factor = halved * UNITS[column][unit_of(column, said)]
         values[column] = measured(column, cell, factor, place._replace(column=column))
-    sigma = said.deviations.get(kind)
-    deviations = {} if sigma is None else dict.fromkeys(columns, factor * sigma)
+        if (sigma := said.deviations.get(column)) is not None:
+            deviations[column] = factor * sigma
     return TrackingReading(moment, cells[2], values, place.row, deviations=deviations)
 
 
-def unit_of(kind: str, said: TrackingSidecar) -> tuple[str, float]:
-    """Return the unit of a kind, and the factor from it to km, km/s or rad."""
-    name = said.units.get(kind, next(iter(UNITS[kind])))
-    return name, UNITS[kind][name]
+def unit_of(kind: Kind, said: TrackingSidecar) -> str:
+    """Return the unit of a kind, by default the first of `UNITS`."""
+    return said.units.get(kind, next(iter(UNITS[kind])))

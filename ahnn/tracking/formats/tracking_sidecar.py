@@ -24,13 +24,15 @@ COLUMNS: dict[str, tuple[Kind, ...]] = {
     "AZ_EL": ("azimuth", "elevation"),
     "RA_DEC": ("right_ascension", "declination"),
 }
-UNITS = {
-    "RANGE": {"km": 1.0, "m": 1e-3},
-    "RANGE_RATE": {"km/s": 1.0, "m/s": 1e-3},
-    "AZ_EL": {"deg": math.pi / 180, "rad": 1.0},
-    "RA_DEC": {"deg": math.pi / 180, "rad": 1.0},
+ANGLES = {"deg": math.pi / 180, "rad": 1.0}
+UNITS: dict[Kind, dict[str, float]] = {
+    "range": {"km": 1.0, "m": 1e-3},
+    "range_rate": {"km/s": 1.0, "m/s": 1e-3},
+    **dict.fromkeys((*COLUMNS["AZ_EL"], *COLUMNS["RA_DEC"]), ANGLES),
 }
 """Units of each kind, with factors to km, km/s and rad; the first is the default."""
+NAMES: dict[str, tuple[Kind, ...]] = {**COLUMNS, **{kind: (kind,) for kind in UNITS}}
+"""Kinds of measurement for each key of `units` and `deviations`: `AZ_EL`, or `azimuth` alone."""
 EVENTS = ("receive", "transmit", "bounce")
 KEYS = ("object", "clock", "event", "units", "deviations", "two_way")
 
@@ -51,8 +53,8 @@ class TrackingSidecar(NamedTuple):
     object: str = ""
     clock: str = "UTC"
     event: Event = "receive"
-    units: dict[str, str] = {}  # noqa: RUF012 - never written to
-    deviations: dict[str, float] = {}  # noqa: RUF012 - never written to
+    units: dict[Kind, str] = {}  # noqa: RUF012 - never written to
+    deviations: dict[Kind, float] = {}  # noqa: RUF012 - never written to
     two_way: TwoWay = "half"
     given: bool = True
 
@@ -106,8 +108,10 @@ def chosen(value: Any, among: tuple[str, ...], place: Place) -> Any:
     return value if value in among else place.refuse(f"one of {', '.join(among)}", repr(value))
 
 
-def mapping(value: Any, place: Place) -> dict[str, Any]:
-    """Return a mapping of kinds to values; raises UserError for anything else."""
-    if not isinstance(value, dict) or any(key not in COLUMNS for key in value):
-        place.refuse(f"values for one or more of {', '.join(COLUMNS)}", repr(value))
-    return value
+def mapping(value: Any, place: Place) -> dict[Kind, Any]:
+    """Return the value for each kind; raises UserError for anything but different keys among `NAMES`."""
+    given = value if isinstance(value, dict) else {str(value): None}
+    kinds = [kind for key in given for kind in NAMES.get(key, (key,))]
+    if len({*kinds}) < len(kinds) or not {*kinds} <= {*UNITS}:
+        place.refuse(f"values for different kinds among {', '.join(NAMES)}", repr(value))
+    return {kind: given[key] for key in given for kind in NAMES[key]}

@@ -51,16 +51,31 @@ def test_a_sidecar_says_units_object_clock_event_and_deviations(table):
     assert (data.values[0, 0], data.event) == (5000.0, "receive")
 
 
+def test_a_sidecar_takes_the_names_of_columns_and_stations_too(table):
+    table.write_text("2010-11-02T03:00:13 RANGE U 5000.0\n2010-11-02T03:00:14 AZ_EL U 90 45\n")
+    table.with_suffix(".yaml").write_text(
+        "units: {range: m}\ndeviations: {range: 2, azimuth: 0.02, elevation: 0.01}\n"
+    )
+    (data,) = read_tracking(table)
+    assert data.values[0, 0] == 5.0
+    assert data.deviations[0, 0] == pytest.approx(2e-3)
+    assert np.degrees(data.deviations[1, 1:3]).tolist() == pytest.approx([0.02, 0.01])
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("units: {RANGE: ft}", "column units: RANGE: expected one of km, m; received 'ft'"),
-        ("units: {RANGES: m}", "expected values for one or more of RANGE, RANGE_RATE, AZ_EL, RA_DEC"),
+        ("units: {RANGE: ft}", "column units: range: expected one of km, m; received 'ft'"),
+        (
+            "units: {RANGES: m}",
+            "for different kinds among RANGE, RANGE_RATE, AZ_EL, RA_DEC, range",
+        ),
+        ("deviations: {AZ_EL: 0.1, azimuth: 0.2}", "expected values for different kinds"),
         ("unit: {RANGE: m}", "received 'unit'; did you mean 'units'?"),
         ("clock: UT1", "column clock: expected one of UTC, TAI, GPS, TT; received 'UT1'"),
         ("event: arrival", "column event: expected one of receive, transmit, bounce"),
         ("two_way: [half]", "column two_way: expected one of half, whole"),
-        ("deviations: {RANGE: -1}", "column deviations: RANGE: expected a number above 0; received -1"),
+        ("deviations: {RANGE: -1}", "column deviations: range: expected a number above 0; received -1"),
         ("deviations: {RANGE: .nan}", "expected a number above 0"),
         ("{", "expected YAML"),
     ],
