@@ -108,8 +108,8 @@ def controls_of(controls: Numbers | None, count: int, size: int, starts: int) ->
     given = None if controls is None else as_float64(controls, "controls")
     shapes = ((count, size), (starts, count, size))
     if (given is None) != (size == 0) or (given is not None and tuple(given.shape) not in shapes):
-        expected = f"shape ({count}, {size}), or one such array per start" if size else "None, since no "
-        "force depends on controls"
+        shape = f"shape ({count}, {size}), or one such array per start"
+        expected = shape if size else "None, since no force depends on controls"
         received = "None" if given is None else f"shape {tuple(given.shape)}"
         message = f"controls: expected {expected}; received {received}"
         raise UserError(message)
