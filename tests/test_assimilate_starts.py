@@ -93,11 +93,11 @@ MISTAKES = {
     ),
     "oem of nobody knows when": (
         [*NUMBERS, PLAIN, "oem=o.oem"],
-        "oem: expected frame=, center=, time_system",
+        "oem: expected frame, centre, time system, the date",
     ),
     "oem of nobody knows where": (
         [*NUMBERS, PLAIN, "oem=o.oem", FROM_NOON],
-        "received none. Add, for example, frame=EME2000 center=EARTH\n",
+        "T12:00:00.000'. Add, for example, frame=EME2000 center=EARTH\n",
     ),
 }
 

@@ -12,7 +12,6 @@ import torch
 from cases import MODEL, SPACE, SPRING, make_results, scores
 
 from ahnn import labels
-from ahnn.assimilation.assimilation_record import write_ephemeris
 from ahnn.assimilation.stream_figures import deviations
 from ahnn.data.files.object_name import numbered
 from ahnn.data.files.source import Files
@@ -25,7 +24,7 @@ from ahnn.evaluation.results import decoded, encoded
 from ahnn.evaluation.score_table import results_table
 from ahnn.evaluation.seed_summary import seeds_table
 from ahnn.measurements import reading
-from ahnn.prediction.ephemeris_message import ephemerides
+from ahnn.prediction.ephemeris_message import ephemerides, require_orbit
 from ahnn.prediction.figure import prediction_figure
 from ahnn.prediction.prediction_table import columns
 from ahnn.prediction.propagation import Prediction
@@ -130,7 +129,7 @@ def test_velocities_are_neither_read_nor_written_in_their_place(tmp_path):
     assert starts(str(tmp_path / "b.csv"), space).states.tolist() == [[1.0, 2.0]]
     orbit = Space("o", tuple("xyzabc"), Units("s", "km", "km/s", "km²/s²"), mechanical=False)
     with pytest.raises(UserError, match="oem: expected momenta equal to mass times velocity"):
-        write_ephemeris(tmp_path / "o.oem", SimpleNamespace(), orbit, "o", Reference())  # pyright: ignore
+        require_orbit(orbit, Reference(), "oem")
     with pytest.raises(UserError, match="output: expected momenta equal to mass times velocity"):
         ephemerides(Prediction(torch.zeros(1), torch.zeros(1, 1, 6)), starts([0.0] * 6, orbit), orbit)
     assert Files("f", str(tmp_path / "a.csv")).space.mechanical

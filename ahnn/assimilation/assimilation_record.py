@@ -9,10 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ahnn.data.estimate_table import COVARIANCE, DEVIATION, FIRST, INNOVATION, rows_of, track_names
-from ahnn.data.files import Covariance, Ephemeris, write_oem
-from ahnn.data.reference import Reference
 from ahnn.errors import UserError
-from ahnn.labels import require_velocities
 from ahnn.types import Space
 
 Array = NDArray[np.float64]
@@ -83,57 +80,3 @@ def read_record(path: Path, space: Space, most: int = MOST) -> AssimilationRecor
 
 def _number(cell: Any) -> float:
     return np.nan if cell is None or cell == "" else float(cell)
-
-
-def require_orbit(space: Space, reference: Reference) -> None:
-    """Check that estimates form an orbit with a known frame, centre and epoch.
-
-    Raises:
-        UserError: they do not; the message names the missing keys.
-    """
-    if len(space.components) != 6 or space.units[:3] != ("s", "km", "km/s"):
-        message = (
-            f"oem: expected an orbit in s, km and km/s; received {space.name} in {', '.join(space.units[:3])}"
-        )
-        raise UserError(message)
-    require_velocities(space, "oem")
-    example = ("frame=EME2000", "center=EARTH", "time_system=UTC", "epoch=2024-03-01T12:00:00")
-    if missing := [word for word, value in zip(example, reference, strict=True) if value in ("", None)]:
-        keys = ", ".join(word.partition("=")[0] + "=" for word in missing)
-        message = (
-            f"oem: expected {keys} for the estimates, which neither the model nor the start states; received "
-            f"none. Add, for example, {' '.join(missing)}"
-        )
-        raise UserError(message)
-
-
-def write_ephemeris(
-    path: Path,
-    record: AssimilationRecord,
-    space: Space,
-    name: str,
-    reference: Reference,
-    identifier: str = "",
-) -> None:
-    """Write orbit estimates with covariances as an orbit ephemeris message.
-
-    Args:
-        path: path of the message.
-        record: estimates, positions in km and momenta in km/s times mass.
-        space: description of the state components.
-        name: name of the object.
-        reference: frame, centre, time scale and epoch of time zero.
-        identifier: identifier of the object; "": its name.
-
-    Raises:
-        UserError: see `require_orbit`.
-    """
-    require_orbit(space, reference)
-    frame, center, clock, epoch = reference
-    assert epoch is not None
-    scale = np.array([1.0] * 3 + [1.0 / space.mass] * 3)
-    matrices = record.covariance * scale[:, None] * scale
-    covariances = tuple(Covariance(float(t), matrix) for t, matrix in zip(record.time, matrices, strict=True))
-    states = record.mean * scale
-    about = identifier or name, name, center, frame, clock, epoch
-    write_oem(path, [Ephemeris(*about, record.time, states, covariances)])

@@ -14,7 +14,6 @@ from torch import Tensor
 
 from ahnn.arguments import check_arguments
 from ahnn.assimilation import Assimilation, Catalogue, Process, StreamSensor
-from ahnn.assimilation.assimilation_record import require_orbit
 from ahnn.assimilation.object_shard import ObjectShard
 from ahnn.assimilation.start import begin, begin_fitted, belief_of
 from ahnn.cli.build import blaming, build, build_all, plain_config
@@ -34,12 +33,13 @@ from ahnn.data.starts import Starts, of_one_state, starts
 from ahnn.errors import UserError
 from ahnn.evaluation import Case, EvaluationPlugin
 from ahnn.evaluation.make_case import make_case
-from ahnn.jobs.assimilation_request import AssimilationRequest, Stream, require_places
+from ahnn.jobs.assimilation_request import STATED, AssimilationRequest, Stream, require_places
 from ahnn.jobs.control_times import control_names, known_controls
 from ahnn.jobs.fitted_start import fitted_start
 from ahnn.loading import judged_training, load, warn_once
 from ahnn.measurements import reading
 from ahnn.measurements.station_file import BiasedStation, read_stations
+from ahnn.prediction.ephemeris_message import require_orbit
 from ahnn.runs import Run
 from ahnn.systems import System
 from ahnn.tracking.earth_axes import earth_axes
@@ -214,7 +214,7 @@ def build_assimilation(asked: AssimilationRequest, nodes: DictConfig, cfg: DictC
         clock, time, reference = begin(found, ours, asked.time, unit)
     reference = reference.centred(run.space.units.position)
     if asked.oem:
-        require_orbit(run.space, reference)
+        require_orbit(run.space, reference, "oem", STATED)
     if asked.stations is None:
         turn_stations(nodes or {"measurement": cfg.measurement}, reference)
         sensors = build_sensors(nodes, cfg, run, lambda: known_system(cfg))

@@ -10,21 +10,28 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from ahnn.assimilation import Assimilation, Catalogue
-from ahnn.assimilation.assimilation_record import read_record, write_ephemeris
+from ahnn.assimilation.assimilation_record import AssimilationRecord, read_record
 from ahnn.assimilation.lines import Lines
 from ahnn.assimilation.output_rows import Rows
 from ahnn.assimilation.session import Session, Watcher
 from ahnn.assimilation.stream_figures import figures_of
 from ahnn.assimilation.view import View, summary
 from ahnn.data.estimate_table import described, track_names
+from ahnn.data.files import Ephemeris, write_oem
 from ahnn.data.files.object_name import ObjectName
-from ahnn.data.start_states import UNKNOWN
+from ahnn.data.reference import Reference
+from ahnn.data.start_states import UNKNOWN, Starts
 from ahnn.evaluation.sinks.figure_files import FORMATS, drawn
 from ahnn.files import write_atomically
 from ahnn.jobs.assimilating_objects import assimilate_objects
 from ahnn.jobs.assimilation_request import Stream, opened
 from ahnn.jobs.control_times import warn_of_the_end
+from ahnn.prediction.ephemeris_message import ephemerides
+from ahnn.prediction.propagation import Prediction
+from ahnn.types import Space
 from ahnn.uncertainty import BEYOND
 
 log = logging.getLogger("ahnn")
@@ -121,5 +128,18 @@ def _pictures(stream: Stream) -> None:
                 write_atomically(Path(options.figures) / f"{name}{suffix}", drawn(figure, suffix))
     if options.oem:
         one = next(iter(stream.objects.values()), ObjectName(UNKNOWN))
-        ident = one.designator or one.id
-        write_ephemeris(Path(options.oem), record, space, one.spoken, stream.reference, ident)
+        write_oem(Path(options.oem), estimated(record, one, space, stream.reference))
+
+
+def estimated(
+    record: AssimilationRecord, one: ObjectName, space: Space, reference: Reference
+) -> list[Ephemeris]:
+    """Return the estimates of an object with their covariances as the segment of an ephemeris message.
+
+    Raises:
+        UserError: see `ahnn.prediction.ephemeris_message.require_orbit`.
+    """
+    time, mean, covariance = (torch.from_numpy(part) for part in record[:3])
+    named = (one._replace(name=one.spoken),)
+    begin = Starts(named, mean[:1], torch.zeros(1, dtype=torch.float64), reference)
+    return ephemerides(Prediction(time, mean[None], covariance[None]), begin, space)

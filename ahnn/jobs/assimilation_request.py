@@ -24,6 +24,9 @@ from ahnn.jobs.followed_measurements import FollowedMeasurements
 from ahnn.manifest import require_own
 from ahnn.types import Space
 
+STATED = "frame=EME2000", "center=EARTH", "time_system=UTC", "epoch=2024-03-01T12:00:00"
+"""Options that state the reference of an ephemeris message."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class AssimilationRequest:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 
 from ahnn.data.files import Covariance, Ephemeris
 from ahnn.data.files.frame_names import FIXED_AT
 from ahnn.data.files.object_name import ObjectName
-from ahnn.data.files.units import LENGTH, TIME, unit
+from ahnn.data.files.units import LENGTH, TIME, is_unit, unit
 from ahnn.data.reference import Reference
 from ahnn.data.start_states import UNKNOWN, Starts
 from ahnn.errors import UserError
@@ -18,21 +20,41 @@ from ahnn.types import Space
 
 PLAIN = frozenset("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_./ ")
 """Characters allowed in a value of a message."""
+SPEED = (0, 1, -1, 0)
+"""Dimension of a length per time, as `LENGTH` and `TIME`."""
+PARTS = ("frame", "centre", "time system", "the date of time zero")
+STATED = (*("frame=[EME2000,EARTH,UTC]",) * 3, "epoch=2024-03-01T12:00:00")
+"""Options that state these parts."""
 
 
-def require_named(reference: Reference) -> None:
-    """Raise UserError for a message without frame, centre, time system and epoch."""
-    named = [name.partition(FIXED_AT)[0] for name in reference[:3]]
-    if not all(named) or not PLAIN.issuperset("".join(named)):
+def require_orbit(space: Space, reference: Reference, who: str = "", options: Sequence[str] = STATED) -> None:
+    """Check that states form an orbit with a known frame, centre, time system and epoch.
+
+    Args:
+        space: description of the state components.
+        reference: reference of positions and times.
+        who: parameter that asks for the message; "": output, or the missing option.
+        options: options that state the reference, for the remedy.
+
+    Raises:
+        UserError: they do not.
+    """
+    dimensions = [unit(text).dimension if is_unit(text) else None for text in space.units[:3]]
+    if space.dof != 3 or dimensions != [TIME, LENGTH, SPEED]:
         message = (
-            "frame: expected frame, centre and time system for an ephemeris message, such as "
-            f"frame=[EME2000,EARTH,UTC]; received {str(reference) or 'none'!r}"
+            f"{who or 'output'}: expected an orbit, three positions in a unit of length, and a unit of time, "
+            f"for an ephemeris message; received {space.dof} in {', '.join(space.units[:3])}. Write .csv"
         )
         raise UserError(message)
-    if reference.epoch is None:
+    require_velocities(space, who or "output")
+    named = [name.partition(FIXED_AT)[0] for name in reference[:3]]
+    stated = [*(name != "" and PLAIN.issuperset(name) for name in named), reference.epoch is not None]
+    if not all(stated):
+        parts = ", ".join(part for part, known in zip(PARTS, stated, strict=True) if not known)
+        needed = [*dict.fromkeys(word for word, known in zip(options, stated, strict=True) if not known)]
         message = (
-            "epoch: expected the date of time zero for an ephemeris message; received none. Add "
-            "epoch=2024-03-01T12:00:00"
+            f"{who or needed[0].partition('=')[0]}: expected {parts} for an ephemeris message; received "
+            f"{str(reference) or 'none'!r}. Add, for example, {' '.join(needed)}"
         )
         raise UserError(message)
 
@@ -41,19 +63,11 @@ def ephemerides(prediction: Prediction, starts: Starts, space: Space) -> list[Ep
     """Return a segment for each trajectory, in km, km/s and s; a single one without a name is unknown.
 
     Raises:
-        UserError: a space without three positions in units of length, or a missing epoch, frame, centre or
-            time system.
+        UserError: see `require_orbit`.
     """
-    require_velocities(space, "output")
+    require_orbit(space, starts.reference)
     position, second = unit(space.units.position), unit(space.units.time)
-    if space.dof != 3 or position.dimension != LENGTH or second.dimension != TIME:
-        message = (
-            "output: expected three positions in a unit of length, and a unit of time, for an ephemeris "
-            f"message; received {space.dof} in {space.units.position}, and {space.units.time}. Write .csv"
-        )
-        raise UserError(message)
     frame, center, clock, epoch = starts.reference
-    require_named(starts.reference)
     assert epoch is not None
     km = position.size / 1e3
     speed = unit(space.units.velocity).size / 1e3 / space.mass

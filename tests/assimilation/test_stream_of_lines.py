@@ -18,16 +18,18 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from ahnn.assimilation import Reading
-from ahnn.assimilation.assimilation_record import read_record, write_ephemeris
+from ahnn.assimilation.assimilation_record import read_record
 from ahnn.assimilation.cells import BadLine
 from ahnn.assimilation.journal import Journal
 from ahnn.assimilation.line_parser import Layout
 from ahnn.assimilation.lines import LONGEST
 from ahnn.assimilation.stream_figures import figures_of
 from ahnn.assimilation.view import View
-from ahnn.data.files import read_oem
+from ahnn.data.files import read_oem, write_oem
+from ahnn.data.files.object_name import ObjectName
 from ahnn.data.reference import Reference
 from ahnn.errors import TrainingError, UserError
+from ahnn.jobs.assimilating import estimated
 from ahnn.types import Space, Units
 
 FOUND = readings(40)
@@ -231,13 +233,14 @@ def test_an_output_becomes_pictures_and_an_ephemeris(tmp_path):
     assert (len(record.time), record.measured) == (40, ("q", "p"))
     assert len(read_record(tmp_path / "out.csv", SPACE, most=10).time) in (10, 11)
     assert {*figures_of(record, SPACE, {})} == {"innovations", "consistency", "deviations"}
-    with pytest.raises(UserError, match="oem: expected an orbit"):
-        write_ephemeris(tmp_path / "no.oem", record, SPACE, "X", ABOUT)
+    with pytest.raises(UserError, match="expected an orbit"):
+        estimated(record, ObjectName("X"), SPACE, ABOUT)
     draw = np.random.default_rng(0)
     factor = draw.normal(size=(40, 6, 6))
     covariance = factor @ factor.transpose(0, 2, 1)
     mean = draw.normal(size=(40, 6)) * 7000
-    write_ephemeris(tmp_path / "it.oem", record._replace(mean=mean, covariance=covariance), ORBIT, "X", ABOUT)
+    record = record._replace(mean=mean, covariance=covariance)
+    write_oem(tmp_path / "it.oem", estimated(record, ObjectName("X"), ORBIT, ABOUT))
     (read,) = read_oem(tmp_path / "it.oem")
     assert np.allclose(read.states, mean / [1, 1, 1, 2, 2, 2], rtol=1e-14, atol=0)
     assert np.allclose(read.covariances[3].matrix[4, 1], covariance[3, 4, 1] / 2, rtol=1e-14)

@@ -15,9 +15,14 @@ from made_orbits import OMM
 from test_starts_from_files import MOLNIYA, NOON, SHORT, STATE, P, first, here, message
 
 import ahnn
+from ahnn.assimilation.assimilation_record import AssimilationRecord
 from ahnn.data.files import Covariance, Ephemeris, read_oem, write_oem
+from ahnn.data.files.object_name import ObjectName
+from ahnn.data.reference import Reference
+from ahnn.jobs.assimilating import estimated
 from ahnn.prediction.figure import prediction_figure
 from ahnn.prediction.propagation import Prediction
+from ahnn.types import Space, Units
 
 __all__ = ["here"]
 QUIET = "plugins.ukf.process_noise=[1e-6,1e-9]"
@@ -75,6 +80,25 @@ def test_identifier_and_name_of_an_object_pass_from_file_to_file():
             assert call("ahnn.predict", run, "start=ahead.csv", *SHORT, "output=again.oem") == 0
             (found,) = read_oem("again.oem")
             assert (found.object_id, found.object_name) == (ident, name)
+
+
+def test_the_epoch_of_a_frame_of_date_has_its_own_keyword_in_the_message_of_a_stream():
+    """And states in other units than km, km/s and s are converted to them."""
+    moment, units = "2026-03-01T00:00:00.000", Units("min", "m", "m/s", "J")
+    space = Space("orbit", tuple("xyzabc"), units, inertia=2.0)
+    states, covariance = STATE * np.array([[1.0], [2.0]]), np.stack([P, 4 * P])
+    none = np.zeros(2)
+    found = np.array([3.0, 5.0]), states, covariance
+    record = AssimilationRecord(*found, none.astype(str), none, none, (), none, none, none.astype(str))
+    about = Reference.of(f"CIRS of {moment}, EARTH, UTC, from {moment}")
+    write_oem("track.oem", estimated(record, ObjectName("7", "", "2026-001A"), space, about))
+    assert f"REF_FRAME = CIRS\nREF_FRAME_EPOCH = {moment}\n" in Path("track.oem").read_text()
+    (found,) = read_oem("track.oem")
+    assert (found.object_id, found.object_name) == ("2026-001A", "7")
+    assert (found.epoch(0.0), found.times.tolist()) == ("2026-03-01T00:03:00.000", [0.0, 120.0])
+    scale = np.array([1e-3] * 3 + [5e-4] * 3)
+    assert np.allclose(found.states, states * scale, rtol=1e-14, atol=0)
+    assert np.allclose(found.covariances[1].matrix, 4 * P * scale * scale[:, None], rtol=1e-14, atol=0)
 
 
 def test_an_object_without_a_name_is_unknown_and_each_of_several_has_a_message():
