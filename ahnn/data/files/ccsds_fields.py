@@ -5,20 +5,19 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from xml.parsers import expat
 
 from ahnn.arguments import nearest
+from ahnn.data.files.ccsds_xml import CcsdsXml
+from ahnn.data.files.ephemeris import HEADER, check_version
 from ahnn.data.files.table import Place
 
 LINE = re.compile(r"(?P<key>[A-Z0-9_]+)\s*=\s*(?P<value>.*?)\s*(\[(?P<unit>[^\[\]]*)\])?")
-HEADER = ("CREATION_DATE", "ORIGINATOR", "MESSAGE_ID", "CLASSIFICATION")
 STRUCTURE = (
     *("ndm", "opm", "omm", "header", "body", "segment", "metadata", "data", "stateVector", "meanElements"),
     *("keplerianElements", "spacecraftParameters", "covarianceMatrix", "maneuverParameters", "tleParameters"),
     "userDefinedParameters",
 )
 """Container elements."""
-VERSIONS = ("1.0", "2.0", "3.0")
 
 
 @dataclass
@@ -87,7 +86,7 @@ def field_messages(text: str, file: str, name: str) -> list[FieldMessage]:
         UserError: another message type, or an invalid field.
     """
     if text.lstrip().startswith("<"):
-        return _of_xml(text, file, name)
+        return _FieldReader(file, name).parse(text, ABOUT[name])
     lines = [(row, line.strip()) for row, line in enumerate(text.split("\n"), 1)]
     used = [(row, line) for row, line in lines if line and line.split()[0] != "COMMENT"]
     version = f"CCSDS_{name}_VERS"
@@ -98,7 +97,7 @@ def field_messages(text: str, file: str, name: str) -> list[FieldMessage]:
         if cells is None:
             place.refuse(f"KEYWORD = value in {ABOUT[name]}", repr(line))
         if cells["key"] == version:
-            _require_version(cells["value"], name, place)
+            check_version(cells["value"], place, f"{ABOUT[name]},")
             found.append(FieldMessage(place, ABOUT[name]))
         elif not found:
             place.refuse(f"{version} first", repr(line))
@@ -110,51 +109,25 @@ def field_messages(text: str, file: str, name: str) -> list[FieldMessage]:
 ABOUT = {"OPM": "an orbit parameter message (OPM)", "OMM": "an orbit mean-elements message (OMM)"}
 
 
-def _require_version(text: str, name: str, place: Place) -> None:
-    if text not in VERSIONS:
-        place.refuse(f"{ABOUT[name]}, version {', '.join(VERSIONS[:-1])} or {VERSIONS[-1]}", repr(text))
+class _FieldReader(CcsdsXml[FieldMessage]):
+    """Collects the fields of messages of one name."""
 
+    def __init__(self, file: str, name: str) -> None:
+        super().__init__(file)
+        self.name = name
 
-def _of_xml(text: str, file: str, name: str) -> list[FieldMessage]:
-    """Parse the messages of XML; raises UserError."""
-    found: list[FieldMessage] = []
-    path: list[str] = []
-    texts: list[str] = []
-    attributes: list[dict[str, str]] = []
-    parser = expat.ParserCreate()
+    def start(self, tag: str) -> None:
+        """Begin an element; raises UserError for elements that do not belong to a message."""
+        place, about = self.place, ABOUT[self.name]
+        if tag == self.name.lower():
+            check_version(self.attributes.get("version", "2.0"), place, f"{about},")
+            self.found.append(FieldMessage(place, about))
+        elif tag not in STRUCTURE and not (self.found and self.path and self.path[-1] in STRUCTURE):
+            place.refuse(about, f"one with <{tag}>")
+        elif tag in ("opm", "omm", "segment") and tag in self.path:
+            place.refuse(about, f"one with <{tag}> in <{tag}>")
 
-    def start(tag: str, given: dict[str, str]) -> None:
-        tag, place = tag.rpartition(":")[2], Place(file, parser.CurrentLineNumber)
-        if tag == name.lower():
-            _require_version(given.get("version", "2.0"), name, place)
-            found.append(FieldMessage(place, ABOUT[name]))
-        elif tag not in STRUCTURE and not (found and path and path[-1] in STRUCTURE):
-            place.refuse(ABOUT[name], f"one with <{tag}>")
-        elif tag in ("opm", "omm", "segment") and tag in path:
-            place.refuse(ABOUT[name], f"one with <{tag}> in <{tag}>")
-        path.append(tag)
-        texts.append("")
-        attributes.append(given)
-
-    def end(_: str) -> None:
-        tag, text, given = path.pop(), texts.pop().strip(), attributes.pop()
-        place = Place(file, parser.CurrentLineNumber)
-        if tag not in STRUCTURE and found:
-            found[-1].add(tag, text, given.get("units"), place)
-
-    def more(text: str) -> None:
-        if texts:
-            texts[-1] += text
-
-    def entity(*_: object) -> None:
-        Place(file, parser.CurrentLineNumber).refuse("no custom entities", "one")
-
-    parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.CharacterDataHandler, parser.EntityDeclHandler = more, entity
-    try:
-        parser.Parse(text.encode(), True)
-    except expat.ExpatError as error:
-        Place(file, error.lineno).refuse("XML", expat.ErrorString(error.code))
-    if not found:
-        Place(file).refuse(ABOUT[name], "none")
-    return found
+    def end(self, tag: str, text: str) -> None:
+        """End an element, and add its text."""
+        if tag not in STRUCTURE and self.found:
+            self.found[-1].add(tag, text, self.attributes.get("units"), self.place)

@@ -124,10 +124,10 @@ class MessageBlock:
         self.meta[key] = value
 
 
-def check_version(text: str, place: Place) -> None:
-    """Raise UserError for an unknown message version."""
-    if text not in VERSIONS:
-        place.refuse(f"OEM version {', '.join(VERSIONS[:-1])} or {VERSIONS[-1]}", repr(text))
+def check_version(text: str, place: Place, about: str = "OEM", versions: tuple[str, ...] = VERSIONS) -> None:
+    """Raise UserError for an unknown version of a message."""
+    if text not in versions:
+        place.refuse(f"{about} version {', '.join(versions[:-1])} or {versions[-1]}", repr(text))
 
 
 def ephemeris(block: MessageBlock, note: Note = refuse) -> Ephemeris:

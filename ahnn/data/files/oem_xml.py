@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
-from xml.parsers import expat
 
 import numpy as np
 
 from ahnn.data.files import epochs
+from ahnn.data.files.ccsds_xml import CcsdsXml
 from ahnn.data.files.ephemeris import (
     ACCELERATION,
     ALONE,
@@ -44,78 +44,53 @@ def blocks_of(text: str, file: str) -> list[MessageBlock]:
     Raises:
         UserError: not XML, non-standard units, or an incomplete state.
     """
-    reader = _Reader(file)
-    try:
-        reader.parser.Parse(text.encode(), True)
-    except expat.ExpatError as error:
-        Place(file, error.lineno).refuse("XML", expat.ErrorString(error.code))
-    if not reader.blocks:
-        Place(file).refuse("an orbit ephemeris message <oem> with a <segment>", "none")
-    reader.blocks[0].comments = reader.comments
-    return reader.blocks
+    reader = _OemReader(file)
+    blocks = reader.parse(text, "an orbit ephemeris message <oem> with a <segment>")
+    blocks[0].comments = reader.comments
+    return blocks
 
 
-class _Reader:
-    """Parser handlers that collect the texts of elements and process them at the end of each group."""
+class _OemReader(CcsdsXml[MessageBlock]):
+    """Collects the texts of elements and processes them at the end of each group."""
 
     def __init__(self, file: str) -> None:
-        self.file, self.blocks, self.text = file, list[MessageBlock](), ""
+        super().__init__(file)
         self.texts: dict[str, str] = {}
-        self.group, self.comments = "", list[str]()
-        self.parser = expat.ParserCreate()
-        self.parser.StartElementHandler = self.start
-        self.parser.EndElementHandler = self.end
-        self.parser.CharacterDataHandler = self.more
-        self.parser.EntityDeclHandler = self.entity
-        self.row: int
-
-    @property
-    def place(self) -> Place:
-        """Current place of the parser."""
-        return Place(self.file, self.parser.CurrentLineNumber)
+        self.group, self.row, self.comments = "", 0, list[str]()
 
     @property
     def block(self) -> MessageBlock:
         """Current segment; raises UserError outside of segments."""
-        return self.blocks[-1] if self.blocks else self.place.refuse("a <segment> around it", "none")
+        return self.found[-1] if self.found else self.place.refuse("a <segment> around it", "none")
 
-    def start(self, name: str, attributes: dict[str, str]) -> None:
+    def start(self, tag: str) -> None:
         """Begin an element; raises UserError for elements that do not belong to an ephemeris."""
-        self.text, tag, place = "", name.rpartition(":")[2], self.place
+        place = self.place
         if tag.upper() in MESSAGES:
             refuse_message(tag.upper(), place)
         if tag == "oem":
-            check_version(attributes.get("version", "2.0"), place)
+            check_version(self.attributes.get("version", "2.0"), place)
         elif tag == "segment":
-            self.blocks.append(MessageBlock(place))
+            self.found.append(MessageBlock(place))
         elif tag in GROUPS:
-            self.group, self.texts, self.row = tag, {}, self.parser.CurrentLineNumber
+            self.group, self.texts, self.row = tag, {}, place.row
         elif tag not in (GROUPS[self.group] or (tag,) if self.group else STRUCTURE) and tag != "COMMENT":
             place.refuse("an orbit ephemeris message <oem>", f"one with <{tag}>", ALONE)
         wanted = unit_of(tag)
-        if wanted and attributes.get("units", wanted).lower().replace("^", "**") != wanted:
-            place._replace(column=tag).refuse(f"units {wanted}", repr(attributes["units"]))
+        if wanted and self.attributes.get("units", wanted).lower().replace("^", "**") != wanted:
+            place._replace(column=tag).refuse(f"units {wanted}", repr(self.attributes["units"]))
 
-    def more(self, text: str) -> None:
-        """Add to the text of an element."""
-        self.text += text
-
-    def entity(self, *_: object) -> None:
-        """Reject entities, which could expand a small file to a huge one."""
-        self.place.refuse("no custom entities", "one")
-
-    def end(self, name: str) -> None:
+    def end(self, tag: str, text: str) -> None:
         """End an element: a text, or a group of them."""
-        tag = name.rpartition(":")[2]
         if tag in GROUPS:
             self.add(tag)
             self.group = ""
         elif tag == "COMMENT":
-            self.comments.append(self.text.strip())
+            self.comments.append(text)
         elif self.group:
             if tag in self.texts:
                 self.place._replace(column=tag).refuse("each element once", "it twice")
-            self.texts[tag] = self.text.strip()
+            self.texts[tag] = text
 
     def add(self, group: str) -> None:
         """Add a group of texts to the segment."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from ahnn.arguments import nearest
+from ahnn.data.files.ephemeris import check_version
 from ahnn.data.files.oem import pair
 from ahnn.data.files.table import Place
 
@@ -52,12 +53,6 @@ class TdmSegment:
         self.records.append((place.row, key, epoch, value))
 
 
-def require_version(text: str, place: Place) -> None:
-    """Raise UserError for an unknown version."""
-    if text not in VERSIONS:
-        place.refuse(f"TDM version {' or '.join(VERSIONS)}", repr(text))
-
-
 def kvn_segments(text: str, file: str) -> list[TdmSegment]:
     """Return the segments of a message in keyword = value notation.
 
@@ -69,7 +64,8 @@ def kvn_segments(text: str, file: str) -> list[TdmSegment]:
     if not used or not used[0][1].startswith(VERSION):
         received = repr(used[0][1][:40]) if used else "no line"
         Place(file, used[0][0] if used else 0).refuse(f"{VERSION} first", received)
-    require_version(pair(used[0][1], Place(file, used[0][0]))[1], Place(file, used[0][0]))
+    first = Place(file, used[0][0])
+    check_version(pair(used[0][1], first)[1], first, "TDM", VERSIONS)
     segments: list[TdmSegment] = []
     state = "header"
     for row, line in used[1:]:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from xml.parsers import expat
-
+from ahnn.data.files.ccsds_xml import CcsdsXml
+from ahnn.data.files.ephemeris import check_version
 from ahnn.data.files.table import Place
-from ahnn.tracking.formats.tdm_segment import HEADER, TdmSegment, require_version
+from ahnn.tracking.formats.tdm_segment import HEADER, VERSIONS, TdmSegment
 
 STRUCTURE = ("ndm", "tdm", "header", "body", "segment", "metadata", "data", "observation", "COMMENT", *HEADER)
 UNITS = {
@@ -27,78 +27,50 @@ def xml_segments(text: str, file: str) -> list[TdmSegment]:
     Raises:
         UserError: not XML, other units, or an observation that is not an epoch and a value.
     """
-    reader = _TdmReader(file)
-    try:
-        reader.parser.Parse(text.encode(), True)
-    except expat.ExpatError as error:
-        Place(file, error.lineno).refuse("XML", expat.ErrorString(error.code))
-    if not reader.segments:
-        Place(file).refuse("a tracking data message <tdm> with a <segment>", "none")
-    return reader.segments
+    return _TdmReader(file).parse(text, "a tracking data message <tdm> with a <segment>")
 
 
-class _TdmReader:
-    """Parser handlers that collect metadata and observations."""
+class _TdmReader(CcsdsXml[TdmSegment]):
+    """Collects metadata and observations."""
 
     def __init__(self, file: str) -> None:
-        self.file, self.text, self.path = file, "", list[str]()
-        self.segments: list[TdmSegment] = []
+        super().__init__(file)
         self.observation: dict[str, str] = {}
-        self.parser = expat.ParserCreate()
-        self.parser.StartElementHandler = self.start
-        self.parser.EndElementHandler = self.end
-        self.parser.CharacterDataHandler = self.more
-        self.parser.EntityDeclHandler = self.entity
 
-    @property
-    def place(self) -> Place:
-        """Current place of the parser."""
-        return Place(self.file, self.parser.CurrentLineNumber)
-
-    def start(self, name: str, attributes: dict[str, str]) -> None:
+    def start(self, tag: str) -> None:
         """Begin an element; raises UserError for an unexpected element."""
-        tag, place = name.rpartition(":")[2], self.place
+        place = self.place
         inside = self.path[-1] if self.path else ""
         if tag not in STRUCTURE and inside not in ("metadata", "observation"):
             place.refuse("a tracking data message <tdm>", f"one with <{tag}>")
         if tag == "tdm":
-            require_version(attributes.get("version", "2.0"), place)
+            check_version(self.attributes.get("version", "2.0"), place, "TDM", VERSIONS)
         elif tag == "segment":
-            self.segments.append(TdmSegment(place))
+            self.found.append(TdmSegment(place))
         elif tag in ("metadata", "data", "observation"):
-            if not self.segments:
+            if not self.found:
                 place.refuse(f"a <segment> around <{tag}>", "none")
             self.observation = {}
-        unit, known = attributes.get("units"), UNITS.get(tag, ())
+        unit, known = self.attributes.get("units"), UNITS.get(tag, ())
         if unit is not None and known and unit not in known:
             place._replace(column=tag).refuse(f"units {' or '.join(known)}", repr(unit))
-        if tag == "RANGE" and unit is not None and unit != self.segments[-1].meta.get("RANGE_UNITS", "km"):
+        if tag == "RANGE" and unit is not None and unit != self.found[-1].meta.get("RANGE_UNITS", "km"):
             place._replace(column=tag).refuse("the units given by RANGE_UNITS", repr(unit))
-        self.path.append(tag)
-        self.text = ""
 
-    def more(self, text: str) -> None:
-        """Add to the text of an element."""
-        self.text += text
-
-    def entity(self, *_: object) -> None:
-        """Reject entities, which could expand a small file into a huge one."""
-        self.place.refuse("no custom entities", "one")
-
-    def end(self, _: str) -> None:
+    def end(self, tag: str, text: str) -> None:
         """End an element, and store its text or the complete observation."""
-        tag, place = self.path.pop(), self.place
+        place = self.place
         inside = self.path[-1] if self.path else ""
         if tag == "COMMENT":
             return
         if tag == "observation":
             self.observed(place)
         elif inside == "metadata":
-            self.segments[-1].say(tag, self.text.strip(), place)
+            self.found[-1].say(tag, text, place)
         elif inside == "observation":
             if tag in self.observation:
                 place._replace(column=tag).refuse("each element once", "it twice")
-            self.observation[tag] = self.text.strip()
+            self.observation[tag] = text
 
     def observed(self, place: Place) -> None:
         """Add an observation to the segment; raises UserError unless it has an epoch and a value."""
@@ -107,4 +79,4 @@ class _TdmReader:
         if not epoch or len(found) != 1:
             place.refuse("EPOCH and one value in an <observation>", ", ".join(self.observation) or "nothing")
         ((key, value),) = found.items()
-        self.segments[-1].record(key, epoch, value, place)
+        self.found[-1].record(key, epoch, value, place)
