@@ -72,7 +72,7 @@ def starts(
     elif is_track(path) or (path.suffix.lower() in PLAIN and not holds_mean_elements(path)):
         found = of_track(path, space) if is_track(path) else of_plain(path, space)
     else:
-        found = of_files(path, space, last=last, weighed=sd is None)
+        found = of_files(path, space, last=last, known_sd=sd is not None)
     if path is not None:
         found = in_frame(found, ours, space, path)
     if sd is None:
@@ -192,7 +192,7 @@ def of_track(path: Path, space: Space) -> Starts:
     return start
 
 
-def of_files(path: Path, space: Space, *, last: bool, weighed: bool) -> Starts:
+def of_files(path: Path, space: Space, *, last: bool, known_sd: bool) -> Starts:
     """Read the first or the last state of each trajectory in a data file; raises UserError."""
     kind = kind_of(content_of(path), str(path))
     second = 1.0 if kind in ("elements", "omm") else None  # interval of the two samples propagated by SGP4
@@ -223,10 +223,10 @@ def of_files(path: Path, space: Space, *, last: bool, weighed: bool) -> Starts:
         whose = f"of {count} states" if len(objects) == 1 else f"state of each of {len(objects)} trajectories"
         log.info("start %s: the %s %s, %s", path, which, whose, at)
     own = files.trajectories.times[rows, columns]
-    if weighed and (matrices := table_covariances(path, kind, own, weighed=True)) is not None:
+    if not known_sd and (matrices := table_covariances(path, kind, own)) is not None:
         scale = factors if files.momenta else factors * space.scales
         return found._replace(covariances=matrices[:, order][:, :, order] * scale.outer(scale))
-    if not weighed or files.epoch is None or kind not in ("oem", "xml", "opm"):
+    if known_sd or files.epoch is None or kind not in ("oem", "xml", "opm"):
         return found
     size = units.unit(space.units.time).size
     since = [files.epoch + round(float(time) * size * SECOND) for time in moments]

@@ -27,14 +27,13 @@ log = logging.getLogger("ahnn")
 KINDS = ("table", "parquet")
 
 
-def table_covariances(path: Path, kind: Kind, times: Tensor, *, weighed: bool) -> Tensor | None:
+def table_covariances(path: Path, kind: Kind, times: Tensor) -> Tensor | None:
     """Read the covariances of states from a table, in the units and order of its reader.
 
     Args:
         path: path of the file.
         kind: kind of the file.
         times: (B,) times of the states, one per trajectory.
-        weighed: whether a mass is stated.
 
     Returns:
         (B, 2n, 2n), diagonal if the table has only standard deviations; None if the file contains neither, or
@@ -62,7 +61,7 @@ def table_covariances(path: Path, kind: Kind, times: Tensor, *, weighed: bool) -
         moments, _ = elapsed(sheet, found.time, clock, refuse)
     else:
         moments = numbers(sheet, found.time, refuse)
-    by = scales(header, found, sheet.place, weighed=weighed)
+    by = scales(header, found, sheet.place)
     values = np.stack([numbers(sheet, column, refuse) for column in (*pairs, *deviations)], axis=1)
     whole = Track("", str(path), sheet.rows, moments * by.time, values)
     time = header.names[found.time]

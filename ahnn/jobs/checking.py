@@ -43,7 +43,7 @@ def check(paths: Sequence[Path], figures: Path | None, options: dict[str, Any]) 
     if others := [path for path in paths if path not in tracking]:
         mass, gap = options.get("mass"), options.get("gap", 10.0)
         how = PROPAGATED | {key: value for key, value in options.items() if key not in ("mass", "gap")}
-        found = examine(others, FileReading(mass is not None, **how), mass, gap)
+        found = examine(others, FileReading(**how), mass, gap)
         show(checkup(found))
         if figures is not None:
             draw(found, figures)

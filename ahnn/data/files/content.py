@@ -34,7 +34,7 @@ class Content(NamedTuple):
     Attributes:
         positions, rates: column names; rates are empty if unknown.
         momenta: whether the rates are momenta instead of velocities.
-        units: units of the space.
+        units: units of the space, with energies per unit mass.
         frame: reference frame of the positions, "" if unspecified.
         tracks: trajectories.
         epoch: epoch of time zero (`epochs.instant`); None for numeric times.

@@ -52,16 +52,15 @@ def read_cpf(path: str | Path) -> Content:
         UserError: invalid content; the message gives its line number.
     """
     path = Path(path)
-    return cpf_content(decoded(content_of(path), path), str(path), weighed=False)
+    return cpf_content(decoded(content_of(path), path), str(path))
 
 
-def cpf_content(text: str, file: str, *, weighed: bool, note: Note = refuse) -> Content:
+def cpf_content(text: str, file: str, *, note: Note = refuse) -> Content:
     """Return the orbit of a prediction, with velocities if every position has one.
 
     Args:
         text: text of the file.
         file: file name.
-        weighed: whether a mass is stated.
         note: callback for damaged records, which are then skipped, and for unused content.
 
     Raises:
@@ -82,7 +81,7 @@ def cpf_content(text: str, file: str, *, weighed: bool, note: Note = refuse) -> 
         note(Fault(Place(file), "record 99 at the end", "none", "The file is cut off"))
     if reader.unused:
         note(Remark(Place(file), f"not used: {', '.join(reader.unused)}"))
-    return reader.content(weighed, note)
+    return reader.content(note)
 
 
 class _CpfReader:
@@ -165,7 +164,7 @@ class _CpfReader:
         numbers = [within(cell, place, -FASTEST, FASTEST) / 1000 for cell in cells[1:]]
         self.velocities[len(self.rows) - 1] = numbers
 
-    def content(self, weighed: bool, note: Note) -> Content:
+    def content(self, note: Note) -> Content:
         """Return the orbit, with times since its first epoch."""
         start, values = self.moments[0], np.array(self.positions)
         moving = len(self.velocities) == len(self.rows)
@@ -175,5 +174,5 @@ class _CpfReader:
             note(Remark(Place(self.file), "velocities not used: missing at some positions"))
         times = np.array([(one - start) / epochs.SECOND for one in self.moments])
         track = Track(self.name, self.file, np.array(self.rows), times, values)
-        orbit = of_orbits([ordered(track, "record 10", note)], FRAMES["0"], start, weighed=weighed)
+        orbit = of_orbits([ordered(track, "record 10", note)], FRAMES["0"], start)
         return orbit if moving else orbit._replace(rates=())

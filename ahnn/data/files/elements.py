@@ -54,7 +54,6 @@ def content(
     step: float | None,
     duration: float | None,
     *,
-    weighed: bool,
     note: Note = refuse,
 ) -> Content:
     """Return a trajectory for each element set, starting at its epoch.
@@ -64,7 +63,6 @@ def content(
         file: file name, for messages.
         step: seconds between samples.
         duration: duration of each trajectory in seconds.
-        weighed: whether a mass is stated.
         note: callback for sets that are damaged or cannot be propagated.
 
     Raises:
@@ -73,7 +71,7 @@ def content(
     expected = "an undamaged element set, whose lines begin with 1 and 2"
     read = partial(orbits_of, text, file)
     names = {"named": "element sets", "expected": expected, "unused": UNUSED}
-    return sgp4_content(read, file, (step, duration), weighed=weighed, note=note, **names)
+    return sgp4_content(read, file, (step, duration), note=note, **names)
 
 
 def orbits_of(text: str, file: str, model: Any, note: Note) -> Iterator[MeanOrbit]:

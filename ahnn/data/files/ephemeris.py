@@ -263,14 +263,11 @@ def values(cells: list[str], names: tuple[str, ...], place: Place) -> list[float
     return found
 
 
-def contents(
-    blocks: list[MessageBlock], *, weighed: bool, of_starts: bool = False, note: Note = refuse
-) -> list[Content]:
+def contents(blocks: list[MessageBlock], *, of_starts: bool = False, note: Note = refuse) -> list[Content]:
     """Return each segment as a trajectory, with times since its first epoch.
 
     Args:
         blocks: segments.
-        weighed: whether a mass is stated.
         of_starts: whether only initial states are read, whose covariances are used elsewhere.
         note: callback for invalid states, times that do not increase, and unused content.
 
@@ -284,14 +281,14 @@ def contents(
         track = Track(one.object_id, block.place.file, *values, title=title)
         of_date = f" of {one.frame_epoch}" if one.frame_epoch else ""
         frame = f"{one.frame}{of_date}, {one.center}, {one.time_system}"
-        found.append(of_orbits([ordered(track, "EPOCH", note)], frame, one.start, weighed=weighed))
+        found.append(of_orbits([ordered(track, "EPOCH", note)], frame, one.start))
     for remark in remarks(blocks, covariances=of_starts):
         note(remark)
     return found
 
 
-def of_orbits(tracks: list[Track], frame: str, epoch: int, *, weighed: bool) -> Content:
+def of_orbits(tracks: list[Track], frame: str, epoch: int) -> Content:
     """Return orbits in km and km/s, with times in seconds since an epoch in the time scale in `frame`."""
-    units = Units("s", "km", "km/s", f"{'kg ' if weighed else ''}km²/s²")
+    units = Units("s", "km", "km/s", "km²/s²")
     names, rates, clock = ("x", "y", "z"), ("vx", "vy", "vz"), frame.rpartition(" ")[2].upper()
     return Content(names, rates, False, units, frame, tuple(tracks), epoch, clock)

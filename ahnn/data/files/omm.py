@@ -71,7 +71,6 @@ def omm_content(
     step: float | None,
     duration: float | None,
     *,
-    weighed: bool,
     note: Note = refuse,
 ) -> Content:
     """Return an SGP4 trajectory for each message, starting at its epoch.
@@ -81,7 +80,6 @@ def omm_content(
         file: file name.
         step: seconds between samples.
         duration: duration of each trajectory in seconds.
-        weighed: whether a mass is stated.
         note: callback for messages that are damaged or cannot be propagated, which are then skipped.
 
     Raises:
@@ -89,7 +87,7 @@ def omm_content(
     """
     read = partial(_orbits, text, file)
     names = {"named": "mean elements (OMM)", "expected": ABOUT["OMM"], "unused": NOT_USED}
-    return sgp4_content(read, file, (step, duration), weighed=weighed, note=note, **names)
+    return sgp4_content(read, file, (step, duration), note=note, **names)
 
 
 def _orbits(text: str, file: str, model: Any, note: Note) -> Iterator[MeanOrbit]:

@@ -28,14 +28,12 @@ class FileReading(NamedTuple):
     """Reading options.
 
     Attributes:
-        weighed: whether a mass is stated.
         frame: target frame of positions and velocities; None: no transformation.
         step, duration: sampling of orbits propagated from element sets, in seconds; None without element
             sets.
         of_starts: whether only initial states are read, without remarks on training.
     """
 
-    weighed: bool = False
     frame: str | None = None
     step: float | None = None
     duration: float | None = None
@@ -63,14 +61,14 @@ def parsed(path: Path, raw: bytes, aside: bytes | None, reading: FileReading, no
     """
     file = str(path)
     kind = kinds.kind_of(raw, file)
-    weighed, beside, of_starts = reading.weighed, sidecar.beside(path), reading.of_starts
+    beside, of_starts = sidecar.beside(path), reading.of_starts
     if kind in ("parquet", "table"):
         if kind == "parquet":
             sheet = parquet.read_parquet(raw, file, note)
         else:
             sheet = read_csv(decoded(raw, path), file, note)
         said = sidecar.Sidecar() if aside is None else sidecar.parse(decoded(aside, beside), str(beside))
-        found = of_sheet(sheet, said, weighed=weighed, of_starts=of_starts, note=note)
+        found = of_sheet(sheet, said, of_starts=of_starts, note=note)
         return turned([found], [sheet.place], reading)
     if kind in kinds.TRACKING:
         remedy = "It contains no trajectories: system=sightings learns from it (docs/tracking.md)"
@@ -80,13 +78,13 @@ def parsed(path: Path, raw: bytes, aside: bytes | None, reading: FileReading, no
     text = decoded(raw, path)
     if kind in ("elements", "omm"):
         read = elements.content if kind == "elements" else omm.omm_content
-        found = read(text, file, reading.step, reading.duration, weighed=weighed, note=note)
+        found = read(text, file, reading.step, reading.duration, note=note)
         return turned([found], [Place(file)], reading)
     if kind in ("cpf", "sp3"):
         read = cpf.cpf_content if kind == "cpf" else sp3.sp3_content
-        return turned([read(text, file, weighed=weighed, note=note)], [Place(file)], reading)
+        return turned([read(text, file, note=note)], [Place(file)], reading)
     blocks = (opm.opm_blocks if kind == "opm" else messages.blocks_of)(text, file, note)
-    parts = ephemeris.contents(blocks, weighed=weighed, of_starts=of_starts, note=note)
+    parts = ephemeris.contents(blocks, of_starts=of_starts, note=note)
     return turned(parts, [block.place for block in blocks], reading)
 
 

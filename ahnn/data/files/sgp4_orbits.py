@@ -47,7 +47,6 @@ def sgp4_content(
     file: str,
     span: tuple[float | None, float | None],
     *,
-    weighed: bool,
     named: str,
     expected: str,
     unused: str,
@@ -59,7 +58,6 @@ def sgp4_content(
         orbits: generator of mean elements, called with the module `sgp4.api` and the fault callback.
         file: file name, for messages.
         span: sampling interval and duration of each trajectory, in seconds.
-        weighed: whether a mass is stated.
         named: name used for the elements in messages.
         expected: expected content, for the message about a file without elements.
         unused: remark on fields not needed by SGP4.
@@ -95,7 +93,7 @@ def sgp4_content(
         track._replace(times=track.times + (start - first) / epochs.SECOND)
         for track, start in zip(tracks, starts, strict=True)
     ]
-    return of_orbits(shifted, FRAME, first, weighed=weighed)
+    return of_orbits(shifted, FRAME, first)
 
 
 def propagated(model: Any, one: MeanOrbit, times: NDArray[np.float64]) -> Track:

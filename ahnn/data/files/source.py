@@ -14,6 +14,8 @@ from ahnn.data.files.frame_names import ROTATING
 from ahnn.data.files.reading import FileReading, bytes_of, parsed
 from ahnn.data.files.recordings import Recordings
 from ahnn.data.files.table import Place
+from ahnn.data.files.unit_factors import energy_unit
+from ahnn.data.files.units import unit
 from ahnn.errors import UserError
 from ahnn.types import Space
 
@@ -61,7 +63,7 @@ class Files(Recordings):
             message = "system.path: expected the path of your data; received none. Set system.path=FILE"
             raise UserError(message)
         self.paths = [Path(p).expanduser() for p in ([path] if isinstance(path, str) else path)]
-        self.reading = FileReading(mass is not None, frame, step, duration, self.of_starts)
+        self.reading = FileReading(frame, step, duration, self.of_starts)
         require_different(self.paths)
         digest = hashlib.sha256()
         contents = []
@@ -131,7 +133,9 @@ def spelled(value: Any) -> str:
 
 
 def space_of(name: str, content: Content, mass: float | Sequence[float] | str | None) -> Space:
-    """Build the space of the data."""
+    """Build the space of the data, with energies per unit mass if no mass is stated."""
+    length, time = unit(content.units.position), unit(content.units.time)
+    units = content.units._replace(energy=energy_unit(length, time, weighed=mass is not None))
     momenta = content.rates if content.momenta else tuple(f"p{q}" for q in content.positions)
     general = content.momenta and content.frame.upper().startswith(ROTATING)
     if isinstance(mass, str):
@@ -142,5 +146,5 @@ def space_of(name: str, content: Content, mass: float | Sequence[float] | str | 
             f"system.mass: expected one mass, or one for each of {content.positions}; received {inertia}"
         )
         raise UserError(message)
-    parts = (*content.positions, *momenta), content.units, inertia, content.frame
+    parts = (*content.positions, *momenta), units, inertia, content.frame
     return Space(name, *parts, mechanical=not general, controls=content.controls)

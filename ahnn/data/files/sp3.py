@@ -39,13 +39,12 @@ class Sp3Orbit:
     velocities: list[list[float] | None] = field(default_factory=list)
 
 
-def sp3_content(text: str, file: str, *, weighed: bool, note: Note = refuse) -> Content:
+def sp3_content(text: str, file: str, *, note: Note = refuse) -> Content:
     """Return the orbits of a file, with velocities if available for all positions.
 
     Args:
         text: text of the file.
         file: file name.
-        weighed: whether a mass is stated.
         note: callback for damaged lines, which are then skipped, and for unused content.
 
     Raises:
@@ -60,7 +59,7 @@ def sp3_content(text: str, file: str, *, weighed: bool, note: Note = refuse) -> 
                 if not reader.epochs:  # a wrong header invalidates everything
                     raise
                 note(fault)
-    return reader.content(weighed)
+    return reader.content()
 
 
 class _Sp3Reader:
@@ -156,7 +155,7 @@ class _Sp3Reader:
         if any(_numbers(line, place, MISSING + 1)):
             place.refuse("a position of the satellite before its velocity", "none")
 
-    def content(self, weighed: bool) -> Content:
+    def content(self) -> Content:
         """Return the orbits, with times since the earliest epoch."""
         place = Place(self.file)
         if not self.orbits:
@@ -181,7 +180,7 @@ class _Sp3Reader:
         if not moving and any(any(v is not None for v in one.velocities) for one in self.orbits.values()):
             self.note(Remark(place, "velocities not used: missing at some positions"))
         tracks = [self.track(name, one, start, moving) for name, one in self.orbits.items()]
-        found = of_orbits(tracks, f"ITRF, EARTH, {self.clock}", start, weighed=weighed)
+        found = of_orbits(tracks, f"ITRF, EARTH, {self.clock}", start)
         return found if moving else found._replace(rates=())
 
     def track(self, name: str, one: Sp3Orbit, start: int, moving: bool) -> Track:

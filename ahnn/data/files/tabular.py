@@ -40,15 +40,12 @@ NOT_A_DATE = (
 )
 
 
-def of_sheet(
-    sheet: Sheet, sidecar: Sidecar, *, weighed: bool, of_starts: bool = False, note: Note = refuse
-) -> Content:
+def of_sheet(sheet: Sheet, sidecar: Sidecar, *, of_starts: bool = False, note: Note = refuse) -> Content:
     """Convert a table to content.
 
     Args:
         sheet: columns of the table.
         sidecar: its sidecar.
-        weighed: whether a mass is stated.
         of_starts: whether only initial states are read, whose standard deviations are used elsewhere.
         note: callback for cells that are not numbers, and times that do not increase.
 
@@ -69,7 +66,7 @@ def of_sheet(
         first = Place(file, int(sheet.rows[0]), header.names[found.time])
         received = repr(str(sheet.columns[found.time][0]))
         first.refuse(f"a date, since the header names the time scale {scale}", received, NOT_A_DATE)
-    by = scales(header, found, place, weighed=weighed or sidecar.mass == CANONICAL)
+    by = scales(header, found, place)
     if times is None:
         times = numbers(sheet, found.time, note)
     columns = [numbers(sheet, column, note) for column in (*found.positions, *found.rates)]

@@ -14,7 +14,7 @@ class Scales(NamedTuple):
     """Conversion factors from a file to a space.
 
     Attributes:
-        units: units of the space.
+        units: units of the space, with energies per unit mass.
         time: factor of the times.
         positions, rates: factors of the columns.
     """
@@ -25,7 +25,7 @@ class Scales(NamedTuple):
     rates: tuple[float, ...]
 
 
-def scales(header: Header, roles: Roles, place: Place, *, weighed: bool) -> Scales:
+def scales(header: Header, roles: Roles, place: Place) -> Scales:
     """Return units and factors: the first position and the first velocity set the units.
 
     Angles are in rad, so that a momentum divided by the inertia is their rate. Momenta are in kg times the
@@ -35,7 +35,6 @@ def scales(header: Header, roles: Roles, place: Place, *, weighed: bool) -> Scal
         header: names and units of the columns.
         roles: roles of the columns.
         place: place of the header.
-        weighed: whether a mass is stated, so that energies are not per unit mass.
 
     Raises:
         UserError: an unknown or incompatible unit, or units for some columns only.
@@ -71,7 +70,7 @@ def scales(header: Header, roles: Roles, place: Place, *, weighed: bool) -> Scal
         meaning = "a momentum (mass times velocity)"
     rates = tuple(factor(header, found, i, rate, place, meaning) for i in roles.rates)
     text = "1" if speed.text == "1/1" else speed.text
-    units = Units(base.text, length.text, text, energy_unit(length, base, weighed=weighed))
+    units = Units(base.text, length.text, text, energy_unit(length, base))
     return Scales(units, clock.size / base.size, positions, rates)
 
 
@@ -108,7 +107,7 @@ def time_unit(rate: str, clock: Unit) -> Unit:
     return found if found.dimension == TIME == clock.dimension else clock
 
 
-def energy_unit(length: Unit, base: Unit, *, weighed: bool) -> str:
+def energy_unit(length: Unit, base: Unit, *, weighed: bool = False) -> str:
     """Return the unit of energies, per unit mass if no mass is stated."""
     if length.dimension in (ANGLE, NONE.dimension):
         weight = "kg m²" if weighed and length.dimension == ANGLE else "1"

@@ -146,5 +146,5 @@ def test_a_time_beyond_all_others_is_a_fault_and_no_traceback(tmp_path, time):
     path = tmp_path / "a.csv"
     times = [*map(str, range(20)), time]
     path.write_text("t [s],x [m],vx [m/s]\n" + "".join(f"{t},{k % 3},{k % 5}\n" for k, t in enumerate(times)))
-    faults = examine([path], FileReading(True), 1.0).faults
+    faults = examine([path], FileReading(), 1.0).faults
     assert any("missing samples" in fault.what or "a finite number up to" in fault.what for fault in faults)

@@ -115,8 +115,8 @@ def test_canonical_momenta_that_are_no_mass_times_velocity_are_only_warned_of(tm
     rows = zip(t.tolist(), np.cos(t).tolist(), (-3 * np.sin(t)).tolist(), strict=True)
     (tmp_path / "a.csv").write_text("t,q,p\n" + "\n".join(",".join(map(repr, row)) for row in rows) + "\n")
     path = [tmp_path / "a.csv"]
-    assert of_columns(path, FileReading(weighed=True), mass=3.0) == []
-    (found,) = of_columns(path, FileReading(weighed=True), mass=1.0)
+    assert of_columns(path, FileReading(), mass=3.0) == []
+    (found,) = of_columns(path, FileReading(), mass=1.0)
     assert (found.level, found.what) == ("warning", "p over the mass is 3 times the change in q per 1")
     (found,) = of_columns(path, FileReading())
     assert (found.level, found.what) == ("fault", "momenta without a stated mass")

@@ -92,7 +92,7 @@ def test_a_damaged_line_takes_its_set_with_it_and_no_other():
 )
 def test_samples_reach_to_the_end_of_the_duration(step, duration, count):
     pytest.importorskip("sgp4")
-    found = elements.content(f"{FIRST}\n{SECOND}", "a.tle", step, duration, weighed=False)
+    found = elements.content(f"{FIRST}\n{SECOND}", "a.tle", step, duration)
     (track,) = found.tracks
     assert track.times.tolist() == pytest.approx([step * k for k in range(count)], rel=1e-12)
     assert track.name == "00005"
@@ -103,7 +103,7 @@ def test_sets_of_other_epochs_begin_later():
     pytest.importorskip("sgp4")
     later = signed(ONE.replace("00005", "00006").replace("179.78495062", "181.28495062"))
     text = "\n".join((later, OTHER[1], FIRST, SECOND))
-    found = elements.content(text, "a.tle", 60.0, 600.0, weighed=False)
+    found = elements.content(text, "a.tle", 60.0, 600.0)
     assert [track.times[0] for track in found.tracks] == [129600.0, 0.0]
     assert found.epoch == elements.epoch(elements.ElementSets(Place("a.tle", 1), (FIRST, SECOND)))
 
@@ -137,14 +137,14 @@ def test_a_field_that_is_no_number_of_its_kind_is_refused(line, column, text, sa
     lines = [FIRST, SECOND]
     lines[line] = signed(f"{lines[line][:column]}{text}{lines[line][column + len(text) : 68]}")
     with pytest.raises(UserError) as caught:
-        elements.content("\n".join(lines), "a.tle", 60.0, 600.0, weighed=False)
+        elements.content("\n".join(lines), "a.tle", 60.0, 600.0)
     assert f"a.tle, {said}" in str(caught.value)
 
 
 def test_what_sgp4_does_not_use_is_said():
     pytest.importorskip("sgp4")
     notes = []
-    elements.content(f"{FIRST}\n{SECOND}", "a.tle", 60.0, 600.0, weighed=False, note=notes.append)
+    elements.content(f"{FIRST}\n{SECOND}", "a.tle", 60.0, 600.0, note=notes.append)
     assert [one.what for one in notes] == [elements.UNUSED]
 
 
@@ -163,7 +163,7 @@ def test_an_epoch_that_is_none_is_a_fault_of_the_check_too(tmp_path, text):
     pytest.importorskip("sgp4")
     path = tmp_path / "a.tle"
     path.write_text(f"{signed(f'{FIRST[:18]}{text}{FIRST[32:68]}')}\n{SECOND}\n")
-    found = examine([path], FileReading(False, None, 60.0, 600.0))
+    found = examine([path], FileReading(None, 60.0, 600.0))
     assert any("a day of the year" in fault.what for fault in found.faults)
 
 
@@ -180,7 +180,7 @@ def test_an_orbit_that_decays_is_refused_from_when_it_does():
     assert k > 1
     said = rf"can propagate; received after {3600 * k:g} s: {api.SGP4_ERRORS[code]}. Shorten system.duration"
     with pytest.raises(UserError, match=said):
-        elements.content(f"{heavy}\n{low}", "a.tle", 3600.0, 3.6e6, weighed=False)
+        elements.content(f"{heavy}\n{low}", "a.tle", 3600.0, 3.6e6)
 
 
 PLACES = {
@@ -204,4 +204,4 @@ def test_every_sign_of_a_field_counts_and_none_beside_it(name, place):
         lines = [FIRST, SECOND]
         lines[line] = signed(f"{lines[line][:column]}x{lines[line][column + 1 : 68]}")
         with pytest.raises(UserError, match=f"row {line + 1}, column {name}: expected a number"):
-            elements.content("\n".join(lines), "a.tle", 60.0, 600.0, weighed=False)
+            elements.content("\n".join(lines), "a.tle", 60.0, 600.0)

@@ -25,7 +25,7 @@ ALL = pytest.mark.parametrize("notation", NOTATIONS)
 
 def read(text, note=None):
     more = {} if note is None else {"note": note}
-    return omm_content(text, "a.omm", 60.0, 6000.0, weighed=False, **more)
+    return omm_content(text, "a.omm", 60.0, 6000.0, **more)
 
 
 @ALL

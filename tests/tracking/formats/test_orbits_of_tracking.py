@@ -18,12 +18,12 @@ from ahnn.errors import UserError
 
 def cpf(text=CPF, note=None):
     more = {} if note is None else {"note": note}
-    return cpf_content(text, "a.cpf", weighed=False, **more)
+    return cpf_content(text, "a.cpf", **more)
 
 
 def sp3(text=SP3, note=None):
     more = {} if note is None else {"note": note}
-    return sp3_content(text, "a.sp3", weighed=False, **more)
+    return sp3_content(text, "a.sp3", **more)
 
 
 def test_a_prediction_is_an_orbit_in_kilometres_across_midnight():
