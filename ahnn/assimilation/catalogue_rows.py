@@ -9,11 +9,11 @@ import numpy as np
 from torch import Tensor
 
 from ahnn.assimilation.output_rows import Format, Rows
-from ahnn.assimilation.parquet_stream import packed_table
 from ahnn.assimilation.reading_table import Array, CatalogueEstimates, ReadingTable
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.assimilation.stream_sensor import StreamSensor
 from ahnn.data.estimate_table import DATED, FIRST, OBJECT
+from ahnn.data.files.parquet import packed_table
 from ahnn.data.files.sidecar import Sidecar
 
 

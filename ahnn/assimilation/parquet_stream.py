@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -145,12 +144,3 @@ class ParquetParts:
 
     def _files(self) -> list[Path]:
         return [*self.folder.glob("*.parquet")] if self.folder.is_dir() else []
-
-
-def packed_table(columns: dict[str, Any]) -> bytes:
-    """Return columns as a Parquet file; raises UserError without pyarrow."""
-    arrow = library("pyarrow", "pyarrow", "parquet", "output")
-    writer = library("pyarrow.parquet", "pyarrow", "parquet", "output")
-    buffer = io.BytesIO()
-    writer.write_table(arrow.table(columns), buffer)
-    return buffer.getvalue()

@@ -17,7 +17,7 @@ from ahnn.contents import plain_yaml
 from ahnn.data.estimate_table import components_with_units, is_track, last_estimates, names_objects
 from ahnn.data.files import Files, instant, units
 from ahnn.data.files.epochs import SECOND
-from ahnn.data.files.kinds import holds_mean_elements, kind_of
+from ahnn.data.files.kinds import TABLES, holds_mean_elements, kind_of
 from ahnn.data.files.object_name import ObjectName, numbered
 from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.files.source import StartFiles
@@ -25,7 +25,7 @@ from ahnn.data.reference import Reference
 from ahnn.data.start_covariances import covariances_of
 from ahnn.data.start_frames import matrices_to
 from ahnn.data.start_states import Starts
-from ahnn.data.table_covariances import KINDS, table_covariances
+from ahnn.data.table_covariances import table_covariances
 from ahnn.deviations import require_finite, state_deviations
 from ahnn.errors import UserError
 from ahnn.labels import require_velocities
@@ -203,7 +203,7 @@ def of_files(path: Path, space: Space, *, last: bool, known_sd: bool) -> Starts:
     reference = Reference.of(files.space.frame)
     if files.epoch is not None:
         reference = reference._replace(epoch=files.epoch)
-    order, factors = columns_of(files, space, path, by_order=kind not in KINDS)
+    order, factors = columns_of(files, space, path, by_order=kind not in TABLES)
     clock = factor(files.space.units.time, space.units.time, path)
     times, states = clock * files.trajectories.times, files.trajectories.states[..., order] * factors
     rows = torch.arange(len(states))

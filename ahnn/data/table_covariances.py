@@ -10,21 +10,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ahnn.data.files import parquet, sidecar
 from ahnn.data.files.columns import COVARIANCES, DEVIATIONS, roles
-from ahnn.data.files.kinds import Kind
-from ahnn.data.files.raw import decoded
-from ahnn.data.files.reading import bytes_of
-from ahnn.data.files.samples import Track, ordered
-from ahnn.data.files.sidecar import with_units
-from ahnn.data.files.table import Header, Place, read_csv, refuse
-from ahnn.data.files.tabular import are_epochs, elapsed, numbers, trajectories, with_clock
-from ahnn.data.files.unit_factors import scales
+from ahnn.data.files.kinds import TABLES, Kind
+from ahnn.data.files.reading import bytes_of, table_of
+from ahnn.data.files.table import Header, Place
+from ahnn.data.files.tabular import tracks_of
 from ahnn.data.files.units import product, unit
 
 log = logging.getLogger("ahnn")
-
-KINDS = ("table", "parquet")
 
 
 def table_covariances(path: Path, kind: Kind, times: Tensor) -> Tensor | None:
@@ -42,31 +35,18 @@ def table_covariances(path: Path, kind: Kind, times: Tensor) -> Tensor | None:
     Raises:
         UserError: columns of only some components, or in another unit than the components.
     """
-    if kind not in KINDS:
+    if kind not in TABLES:
         return None
-    (raw, aside), beside = bytes_of(path), sidecar.beside(path)
-    sheet = (
-        parquet.read_parquet(raw, str(path)) if kind == "parquet" else read_csv(decoded(raw, path), str(path))
-    )
-    said = sidecar.Sidecar() if aside is None else sidecar.parse(decoded(aside, beside), str(beside))
-    header = with_units(sheet.header, said, sheet.place)
+    sheet, said = table_of(path, *bytes_of(path), kind)
+    header = sheet.header
     found = roles(header, said.columns, sheet.place)
     wanted = (*found.positions, *found.rates)
     pairs = covariance_columns(header, wanted, sheet.place)
     deviations = {} if pairs else deviation_columns(header, wanted, sheet.place)
     if not (pairs or deviations):
         return None
-    if are_epochs(sheet.columns[found.time]):
-        header, clock = with_clock(header, found.time, sheet.place)
-        moments, _ = elapsed(sheet, found.time, clock, refuse)
-    else:
-        moments = numbers(sheet, found.time, refuse)
-    by = scales(header, found, sheet.place)
-    values = np.stack([numbers(sheet, column, refuse) for column in (*pairs, *deviations)], axis=1)
-    whole = Track("", str(path), sheet.rows, moments * by.time, values)
-    time = header.names[found.time]
-    tracks = [ordered(track, time) for track in trajectories(sheet, found.id, whole, refuse)]
-    each = zip(tracks, times.tolist(), strict=True)
+    table = tracks_of(sheet, found, (*pairs, *deviations))
+    each = zip(table.tracks, times.tolist(), strict=True)
     chosen = np.stack([track.values[np.abs(track.times - moment).argmin()] for track, moment in each])
     matrices = np.zeros((len(chosen), len(wanted), len(wanted)))
     for k, (i, j) in enumerate(pairs.values()):
@@ -76,7 +56,7 @@ def table_covariances(path: Path, kind: Kind, times: Tensor) -> Tensor | None:
     if not np.isfinite(matrices).all() or not (np.diagonal(matrices, axis1=1, axis2=2) > 0.0).all():
         log.warning("start %s: the standard deviations are not used, since not all of them are > 0", path)
         return None
-    factors = np.array((*by.positions, *by.rates))
+    factors = np.array((*table.by.positions, *table.by.rates))
     return torch.from_numpy(matrices * np.outer(factors, factors))
 
 

@@ -10,13 +10,14 @@ from pathlib import Path
 from ahnn.data.files import sidecar
 from ahnn.data.files.messages import SUFFIXES as MESSAGES
 from ahnn.data.files.messages import write_oem
+from ahnn.data.files.parquet import packed_table
 from ahnn.data.starts import Starts
 from ahnn.errors import UserError
 from ahnn.files import write_atomically
 from ahnn.manifest import require_own
 from ahnn.prediction.beginning import beginning
 from ahnn.prediction.ephemeris_message import ephemerides
-from ahnn.prediction.prediction_table import as_csv, as_parquet, columns, described
+from ahnn.prediction.prediction_table import as_csv, columns, described
 from ahnn.prediction.propagation import Prediction
 from ahnn.types import Space
 
@@ -115,7 +116,7 @@ def write(
         zero = starts.reference.spelled()
         remarks = [*remarks, f"t is counted from {zero} {starts.reference.clock}".rstrip()]
     found = columns(prediction, starts, space, correlated=correlated)
-    write_atomically(path, as_csv(found) if suffix == ".csv" else as_parquet(found))
+    write_atomically(path, as_csv(found) if suffix == ".csv" else packed_table(found))
     sidecar.write(path, described(starts, space), remarks)
 
 

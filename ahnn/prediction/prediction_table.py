@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ from ahnn.data.files.object_name import names_by_id
 from ahnn.data.files.sidecar import Sidecar
 from ahnn.data.files.units import product
 from ahnn.data.starts import Starts
-from ahnn.errors import UserError
 from ahnn.labels import physical_components
 from ahnn.prediction.durations import picoseconds
 from ahnn.prediction.propagation import Prediction
@@ -83,20 +81,3 @@ def as_csv(found: dict[str, Any]) -> bytes:
 def _cell(value: Any) -> str:
     text = value if isinstance(value, str) else repr(value)
     return '"' + text.replace('"', '""') + '"' if any(sign in text for sign in ',;"\t') else text
-
-
-def as_parquet(found: dict[str, Any]) -> bytes:
-    """Return columns as a Parquet file.
-
-    Raises:
-        UserError: pyarrow is not installed.
-    """
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError as error:
-        message = "output: expected pyarrow for Parquet; received none. Install the extra ahnn[parquet]"
-        raise UserError(message) from error
-    buffer = io.BytesIO()
-    pq.write_table(pa.table(found), buffer)
-    return buffer.getvalue()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from test_predict import small
 
 import ahnn
 from ahnn.data.files import Ephemeris, Files, instant, read_oem, write_oem
-from ahnn.prediction.prediction_table import as_parquet
+from ahnn.data.files.parquet import packed_table
 from ahnn.pretrained import names
 from ahnn.uncertainty import save_uncertainty
 
@@ -275,18 +276,9 @@ def test_runs_of_other_states_do_not_mix(here, cache, capsys):
 
 
 def test_parquet_without_pyarrow_names_the_extra(monkeypatch):
-    import builtins
-
-    real = builtins.__import__
-
-    def without(name, *rest):
-        if name.startswith("pyarrow"):
-            raise ImportError
-        return real(name, *rest)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(ahnn.UserError, match=r"ahnn\[parquet\]"):
-        as_parquet({"a": np.zeros(2)})
+        packed_table({"a": np.zeros(2)})
 
 
 def test_help_says_what_there_is(capsys):

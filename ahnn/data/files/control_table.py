@@ -8,12 +8,11 @@ import numpy as np
 import torch
 
 from ahnn.controls import ControlTable
-from ahnn.data.files import kinds, parquet, sidecar
+from ahnn.data.files import kinds, sidecar
 from ahnn.data.files.columns import TIMES, control_named
-from ahnn.data.files.raw import decoded
-from ahnn.data.files.reading import bytes_of
+from ahnn.data.files.reading import bytes_of, table_of
 from ahnn.data.files.samples import Array
-from ahnn.data.files.table import Place, Remark, Sheet, read_csv, refuse
+from ahnn.data.files.table import Place, Remark, Sheet, refuse
 from ahnn.data.files.tabular import numbers
 from ahnn.data.files.units import factor
 from ahnn.errors import UserError
@@ -35,18 +34,13 @@ def read_controls(path: Path, space: Space) -> ControlTable:
         message = f"controls: expected numbers or a file; received {path}: {reason}"
         raise UserError(message)
     raw, aside = bytes_of(path)
-    file, beside = str(path), sidecar.beside(path)
-    kind = kinds.kind_of(raw, file)
-    if kind not in ("parquet", "table"):
-        Place(file).refuse(f"a table with time and {', '.join(space.controls)}", kind)
-    sheet = (
-        parquet.read_parquet(raw, file, refuse) if kind == "parquet" else read_csv(decoded(raw, path), file)
-    )
-    said = sidecar.Sidecar() if aside is None else sidecar.parse(decoded(aside, beside), str(beside))
+    kind = kinds.kind_of(raw, str(path))
+    if kind not in kinds.TABLES:
+        Place(str(path)).refuse(f"a table with time and {', '.join(space.controls)}", kind)
+    sheet, said = table_of(path, raw, aside, kind)
     if said.columns or said.frame:
-        place = Place(str(beside))
+        place = Place(str(sidecar.beside(path)))
         place.refuse("only units and controls in the sidecar of a control file", "columns or frame")
-    sheet = sheet._replace(header=sidecar.with_units(sheet.header, said, sheet.place))
     times, unit = _times(sheet, space)
     names = [control_named(name, space.controls) for name in sheet.header.names]
     if not len(sheet.rows):

@@ -43,6 +43,7 @@ ABOUT: dict[Kind, str] = {
     "bulletin_b": "an IERS Bulletin B",
 }
 """Descriptions of file kinds."""
+TABLES: tuple[Kind, ...] = ("table", "parquet")
 TRACKING: tuple[Kind, ...] = ("tdm", "crd", "station_table", "sinex", "bulletin_b")
 """Kinds without trajectories, which `ahnn.tracking` reads."""
 READ = ", ".join(about for kind, about in ABOUT.items() if kind not in (*TRACKING, "xml"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from typing import Any
 
@@ -66,3 +67,12 @@ def cells(arrow: Any, column: Any, place: Place) -> Sequence[str] | NDArray[np.f
     if arrow.types.is_string(kind) or arrow.types.is_large_string(kind) or arrow.types.is_dictionary(kind):
         return [value or "" for value in column.cast(arrow.string()).to_pylist()]
     place.refuse("numbers, texts or times", str(kind))
+
+
+def packed_table(columns: dict[str, Any]) -> bytes:
+    """Return columns as a Parquet file, in memory; raises UserError without pyarrow."""
+    arrow = library("pyarrow", "pyarrow", "parquet", "output")
+    writer = library("pyarrow.parquet", "pyarrow", "parquet", "output")
+    buffer = io.BytesIO()
+    writer.write_table(arrow.table(columns), buffer)
+    return buffer.getvalue()

@@ -20,7 +20,7 @@ from ahnn.data.files import (
 )
 from ahnn.data.files.content import Content, joined
 from ahnn.data.files.raw import content_of, decoded
-from ahnn.data.files.table import Note, Place, Remark, read_csv, refuse
+from ahnn.data.files.table import Note, Place, Remark, Sheet, read_csv, refuse
 from ahnn.data.files.tabular import of_sheet
 
 
@@ -62,12 +62,8 @@ def parsed(path: Path, raw: bytes, aside: bytes | None, reading: FileReading, no
     file = str(path)
     kind = kinds.kind_of(raw, file)
     beside, of_starts = sidecar.beside(path), reading.of_starts
-    if kind in ("parquet", "table"):
-        if kind == "parquet":
-            sheet = parquet.read_parquet(raw, file, note)
-        else:
-            sheet = read_csv(decoded(raw, path), file, note)
-        said = sidecar.Sidecar() if aside is None else sidecar.parse(decoded(aside, beside), str(beside))
+    if kind in kinds.TABLES:
+        sheet, said = table_of(path, raw, aside, kind, note)
         found = of_sheet(sheet, said, of_starts=of_starts, note=note)
         return turned([found], [sheet.place], reading)
     if kind in kinds.TRACKING:
@@ -86,6 +82,19 @@ def parsed(path: Path, raw: bytes, aside: bytes | None, reading: FileReading, no
     blocks = (opm.opm_blocks if kind == "opm" else messages.blocks_of)(text, file, note)
     parts = ephemeris.contents(blocks, of_starts=of_starts, note=note)
     return turned(parts, [block.place for block in blocks], reading)
+
+
+def table_of(
+    path: Path, raw: bytes, aside: bytes | None, kind: kinds.Kind, note: Note = refuse
+) -> tuple[Sheet, sidecar.Sidecar]:
+    """Return a table with the units that its sidecar adds, and the sidecar; arguments as in `parsed`."""
+    if kind == "parquet":
+        sheet = parquet.read_parquet(raw, str(path), note)
+    else:
+        sheet = read_csv(decoded(raw, path), str(path), note)
+    beside = sidecar.beside(path)
+    said = sidecar.Sidecar() if aside is None else sidecar.parse(decoded(aside, beside), str(beside))
+    return sheet._replace(header=sidecar.with_units(sheet.header, said, sheet.place)), said
 
 
 def turned(parts: list[Content], places: list[Place], reading: FileReading) -> Content:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from ahnn.data.files.content import CANONICAL, Column, Content
 from ahnn.data.files.frame_names import canonical
 from ahnn.data.files.frames import TO_TT
 from ahnn.data.files.samples import Array, Track, by_id, ordered
-from ahnn.data.files.sidecar import LINEAR, Sidecar, with_units
+from ahnn.data.files.sidecar import LINEAR, Sidecar
 from ahnn.data.files.table import (
     FINITE,
     LARGEST,
@@ -29,7 +30,7 @@ from ahnn.data.files.table import (
     number,
     refuse,
 )
-from ahnn.data.files.unit_factors import scales
+from ahnn.data.files.unit_factors import Scales, scales
 from ahnn.data.files.unwrapped_angles import unwrapped
 
 SHOWN = 8
@@ -44,7 +45,7 @@ def of_sheet(sheet: Sheet, sidecar: Sidecar, *, of_starts: bool = False, note: N
     """Convert a table to content.
 
     Args:
-        sheet: columns of the table.
+        sheet: columns of the table, with the units of its sidecar.
         sidecar: its sidecar.
         of_starts: whether only initial states are read, whose standard deviations are used elsewhere.
         note: callback for cells that are not numbers, and times that do not increase.
@@ -52,31 +53,16 @@ def of_sheet(sheet: Sheet, sidecar: Sidecar, *, of_starts: bool = False, note: N
     Raises:
         UserError: an invalid header (the message gives row and column), or an error raised by `note`.
     """
-    place, file = sheet.place, sheet.place.file
-    header = with_units(sheet.header, sidecar, place)
+    place, header = sheet.place, sheet.header
     found = roles(header, sidecar.columns, place)
     say_unused(header, found, place, note, of_starts=of_starts)
     if not len(sheet.rows):
         place.refuse("a row for each sample", "only a header")
-    times, clock, epoch = None, "", None
-    if are_epochs(sheet.columns[found.time]):
-        header, clock = with_clock(header, found.time, place)
-        times, epoch = elapsed(sheet, found.time, clock, note)
-    elif (scale := header.units[found.time]) in TO_TT:
-        first = Place(file, int(sheet.rows[0]), header.names[found.time])
-        received = repr(str(sheet.columns[found.time][0]))
-        first.refuse(f"a date, since the header names the time scale {scale}", received, NOT_A_DATE)
-    by = scales(header, found, place)
-    if times is None:
-        times = numbers(sheet, found.time, note)
-    columns = [numbers(sheet, column, note) for column in (*found.positions, *found.rates)]
-    values = np.stack(columns, axis=1) * (*by.positions, *by.rates)
-    name = header.names[found.time]
-    whole = Track("", file, sheet.rows, times * by.time, values, controls_of(sheet, found, note))
-    spelled = str if epoch is None else partial(dated, epoch=epoch, clock=clock)
-    tracks = trajectories(sheet, found.id, whole, note)
-    tracks = tuple(ordered(track, name, note, spelled) for track in tracks)
-    tracks = tuple(entitled(track, sidecar.objects, alone=len(tracks) == 1) for track in tracks)
+    table = tracks_of(sheet, found, (*found.positions, *found.rates), note)
+    clock, alone = table.clock, len(table.tracks) == 1
+    factors = np.array((*table.by.positions, *table.by.rates))
+    tracks = (track._replace(values=track.values * factors) for track in table.tracks)
+    tracks = tuple(entitled(track, sidecar.objects, alone=alone) for track in tracks)
     positions, rates = (tuple(header.names[i] for i in columns) for columns in (found.positions, found.rates))
     momenta, head, frame = found.kind == "momenta", place.row, canonical(sidecar.frame)
     controls, linear = tuple(header.names[i] for i in found.controls), sidecar.controls == LINEAR
@@ -87,8 +73,44 @@ def of_sheet(sheet: Sheet, sidecar: Sidecar, *, of_starts: bool = False, note: N
     )
     if (general := sidecar.mass == CANONICAL) and not momenta:
         place.refuse(f"momenta, since the sidecar states mass: {CANONICAL}", ", ".join(rates) or "positions")
-    about = epoch, clock, name, head, columns, controls, linear, general
-    return unwrapped(Content(positions, rates, momenta, by.units, frame, tracks, *about), note)
+    about = table.epoch, clock, header.names[found.time], head, columns, controls, linear, general
+    return unwrapped(Content(positions, rates, momenta, table.by.units, frame, tracks, *about), note)
+
+
+class TableTracks(NamedTuple):
+    """Columns of a table as trajectories.
+
+    Attributes:
+        tracks: trajectories with increasing times, and values in the units of the file.
+        by: factors that convert the states.
+        epoch: epoch of time zero in the time scale `clock`; None for numeric times.
+    """
+
+    tracks: tuple[Track, ...]
+    by: Scales
+    epoch: int | None
+    clock: str
+
+
+def tracks_of(sheet: Sheet, found: Roles, columns: Sequence[int], note: Note = refuse) -> TableTracks:
+    """Return the values of some columns by trajectory; arguments and errors as in `of_sheet`."""
+    header, place, file = sheet.header, sheet.place, sheet.place.file
+    name, times, clock, epoch = header.names[found.time], None, "", None
+    if are_epochs(sheet.columns[found.time]):
+        header, clock = with_clock(header, found.time, place)
+        times, epoch = elapsed(sheet, found.time, clock, note)
+    elif (scale := header.units[found.time]) in TO_TT:
+        received = repr(str(sheet.columns[found.time][0]))
+        expected = f"a date, since the header names the time scale {scale}"
+        Place(file, int(sheet.rows[0]), name).refuse(expected, received, NOT_A_DATE)
+    by = scales(header, found, place)
+    if times is None:
+        times = numbers(sheet, found.time, note)
+    values = np.stack([numbers(sheet, column, note) for column in columns], axis=1)
+    whole = Track("", file, sheet.rows, times * by.time, values, controls_of(sheet, found, note))
+    spelled = str if epoch is None else partial(dated, epoch=epoch, clock=clock)
+    tracks = trajectories(sheet, found.id, whole, note)
+    return TableTracks(tuple(ordered(track, name, note, spelled) for track in tracks), by, epoch, clock)
 
 
 def dated(time: float, epoch: int, clock: str) -> str:
