@@ -38,7 +38,7 @@ from ahnn.jobs.control_times import control_names, known_controls
 from ahnn.jobs.fitted_start import fitted_start
 from ahnn.loading import judged_training, load, warn_once
 from ahnn.measurements import reading
-from ahnn.measurements.station_file import BiasedStation, read_stations
+from ahnn.measurements.station_file import StationsOfFile, read_stations
 from ahnn.prediction.ephemeris_message import require_orbit
 from ahnn.runs import Run
 from ahnn.systems import System
@@ -164,12 +164,10 @@ def stations_of_file(file: str, space: Space, reference: Reference) -> dict[str,
     Raises:
         UserError: the file does not exist, or no station measures.
     """
-    angle, found, stations = earth_axes(reference), {}, read_stations(file)
-    for name, entry in ({n: one for n, one in stations.items() if one.noise} or stations).items():
-        model = BiasedStation(entry, angle, space.mass, f"{file}: {name}.")
-        sd = model.bias_sd if any(model.bias_sd) else None
-        found[name] = StreamSensor.of(model, model.deviations, space, bias_sd=sd)
-    return found
+    measuring = [name for name, entry in read_stations(file).items() if entry.noise]
+    found = StationsOfFile(file, earth_axes(reference), space.mass, measuring or None).stations
+    biases = {name: one.bias_sd if any(one.bias_sd) else None for name, one in found.items()}
+    return {n: StreamSensor.of(one, one.deviations, space, bias_sd=biases[n]) for n, one in found.items()}
 
 
 def _numbers(given: Any) -> Any:

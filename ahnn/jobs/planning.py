@@ -24,7 +24,7 @@ from ahnn.jobs.named import named_runs
 from ahnn.loading import unfinished_training, warn_once
 from ahnn.manifest import require_own
 from ahnn.measurements import noise_deviations, observe, reading
-from ahnn.measurements.station_file import BiasedStation, read_stations
+from ahnn.measurements.station_file import StationsOfFile
 from ahnn.prediction import durations
 from ahnn.prediction.measurement_plan import evenly_spaced, plan_measurements, variance_with
 from ahnn.prediction.propagation import prediction_factors
@@ -152,9 +152,8 @@ def stations_of(file: str, begin: Starts, run: Run) -> list[PlannedSensor]:
     """Return the stations of a file, on an Earth that rotates from the epoch of time zero."""
     if begin.reference.epoch is None:
         log.warning("epoch: not given; the Greenwich meridian is assumed to lie on the x axis at time zero")
-    made, angle = [], earth_axes(begin.reference)
-    for name, entry in read_stations(file).items():
-        model = BiasedStation(entry, angle, run.space.mass)
+    made = []
+    for name, model in StationsOfFile(file, earth_axes(begin.reference), run.space.mass).stations.items():
         sd, bias = (torch.tensor(part, dtype=torch.float64) for part in (model.deviations, model.bias_sd))
         made.append(PlannedSensor(name, model, sd, bias, joined=True))
     return made

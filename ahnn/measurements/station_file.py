@@ -170,7 +170,7 @@ class StationsOfFile(Several):
         bias_sd: standard deviations of their biases, 0 for no bias.
 
     Raises:
-        UserError: an invalid or unknown station. ValueError: no station.
+        UserError: no station, or an invalid or unknown one.
     """
 
     def __init__(
@@ -189,7 +189,9 @@ class StationsOfFile(Several):
         if lacking := [name for name in only or () if name not in known]:
             message = f"{file}: expected stations {', '.join(only or ())}; received none named {lacking[0]!r}"
             raise UserError(message + nearest(lacking[0], tuple(known)))
-        models = [*self.stations.values()]
+        if not (models := [*self.stations.values()]):
+            message = f"{file}: expected at least one station; received none"
+            raise UserError(message)
         super().__init__(models)
         self.names = tuple(f"{key}.{name}" for key, one in self.stations.items() for name in one.names)
         self.file, self.mass = file, mass

@@ -67,6 +67,7 @@ def test_they_measure_as_one_by_one_with_their_biases_masks_and_noise(file):
             "bias: {range: 1}",
             "noise: expected standard deviations of one or more",
         ),
+        (TEXT, "{}", "expected at least one station; received none"),
         (TEXT, "kiruna: here", "kiruna: expected [latitude, longitude, height] in degrees and m, or keys"),
     ],
 )
