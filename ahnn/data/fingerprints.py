@@ -18,20 +18,19 @@ MIXED = 0x2545F4914F6CDD1D
 NONE = torch.iinfo(torch.int64).max
 
 
-def fingerprints(trajectories: Trajectories) -> Tensor:
-    """Return 64-bit hashes of consecutive states, independent of time, (B, K); NONE for missing states."""
-    states = trajectories.states
+def fingerprints(states: Tensor, samples: int = SAMPLES) -> Tensor:
+    """Return 64-bit hashes of consecutive states (B, T, D), independent of time, (B, K); NONE if missing."""
     there = states.isfinite().any(-1)
     bits = (states.nan_to_num(0.0) + 0.0).contiguous().view(torch.int64)  # maps -0.0 to 0.0
     of_state = (_mixed(bits) * _odd(states.shape[-1])).sum(-1)
-    span = min(SAMPLES, states.shape[1])
+    span = min(samples, states.shape[1])
     of_span = _mixed((of_state.unfold(1, span, 1) * _odd(span)).sum(-1))
     return of_span.masked_fill(~there.unfold(1, span, 1).all(-1), NONE)
 
 
 def remembered(trajectories: Trajectories) -> list[int]:
     """Return the smallest fingerprint of each trajectory; most of its differently cut versions contain it."""
-    least = torch.cat([fingerprints(part).amin(1) for part in trajectories.parts()])
+    least = torch.cat([fingerprints(part.states).amin(1) for part in trajectories.parts()])
     least = least[least != NONE]
     return least[:: -(-len(least) // KEPT) or 1].tolist()
 
@@ -39,7 +38,7 @@ def remembered(trajectories: Trajectories) -> list[int]:
 def recognised(trajectories: Trajectories, known: Sequence[int]) -> int:
     """Return the number of trajectories that contain recorded samples."""
     wanted = torch.tensor(known, dtype=torch.int64)
-    found = [torch.isin(fingerprints(part), wanted).any(1).sum() for part in trajectories.parts()]
+    found = [torch.isin(fingerprints(part.states), wanted).any(1).sum() for part in trajectories.parts()]
     return int(sum(found))
 
 

@@ -114,7 +114,7 @@ def test_changed_data_of_which_nothing_was_seen_are_reported_with_that():
 def test_absent_samples_are_in_no_fingerprint():
     states = torch.full((2, 9, 2), torch.nan, dtype=torch.float64)
     states[0, :4] = 1.0
-    found = fingerprints(Trajectories(states, torch.arange(9.0).double().expand(2, -1)))
+    found = fingerprints(states)
     assert (found != NONE).nonzero().tolist() == [[0, 0]]
     assert remembered(Trajectories(states, torch.zeros(2, 9))) == found[0, :1].tolist()
 

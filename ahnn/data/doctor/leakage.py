@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ahnn.data.doctor.finding import Finding
 from ahnn.data.files.samples import Track
+from ahnn.data.fingerprints import fingerprints
 
 RUN = 8
 """Minimum number of equal consecutive samples (or a complete trajectory): a few may be equal by chance."""
@@ -21,7 +24,7 @@ def leakage_findings(tracks: list[Track]) -> list[Finding]:
         tracks: tracks of all files.
     """
     keys = [runs(track) for track in tracks]
-    flat = np.concatenate(keys) if keys else np.zeros(0, dtype=np.uint64)
+    flat = np.concatenate(keys) if keys else np.zeros(0, dtype=np.int64)
     owner = np.repeat(np.arange(len(keys)), [len(key) for key in keys])
     place = np.concatenate([np.arange(len(key)) for key in keys]) if keys else owner
     order = np.lexsort((owner, flat))
@@ -41,21 +44,11 @@ def finding(one: Track, other: Track, at: int, first: int) -> Finding:
     return Finding("fault", other.file, int(other.rows[at]), "", what, "Keep one of the two trajectories")
 
 
-def runs(track: Track) -> NDArray[np.uint64]:
+def runs(track: Track) -> NDArray[np.int64]:
     """Return a key for each run of samples; 0 for constant samples or missing values."""
-    values = np.ascontiguousarray(track.values + 0.0)  # maps -0 to 0
+    values = np.ascontiguousarray(track.values)
     if len(values) < LEAST:
-        return np.zeros(0, dtype=np.uint64)
-    length = min(RUN, len(values))
-    draw = np.random.default_rng(0)
-    bits, odd = values.view(np.uint64), np.uint64(1)
-    key = (bits * (draw.integers(2**63, size=bits.shape[1], dtype=np.uint64) | odd)).sum(1, dtype=np.uint64)
-    key ^= key >> np.uint64(29)
-    factors = draw.integers(2**63, size=RUN, dtype=np.uint64)[:length] | odd
-    count = len(values) - length + 1
-    products = [factor * key[k : k + count] for k, factor in enumerate(factors)]
-    found = np.stack(products).sum(0, dtype=np.uint64)
-    same = np.stack([key[k : k + count] == key[:count] for k in range(length)]).all(0)
-    missing = np.isnan(values).max(axis=1, keepdims=True)
-    lost = np.concatenate([missing[k : k + count] for k in range(length)], axis=1).any(1)
-    return np.where(same | lost, np.uint64(0), found)
+        return np.zeros(0, dtype=np.int64)
+    windows = sliding_window_view(values, min(RUN, len(values)), axis=0)
+    constant, lost = (windows == windows[..., :1]).all((1, 2)), np.isnan(windows).any((1, 2))
+    return np.where(constant | lost, 0, fingerprints(torch.from_numpy(values)[None], RUN)[0].numpy())
