@@ -63,6 +63,11 @@ class Content(NamedTuple):
     general: bool = False
 
     @property
+    def stated_momenta(self) -> str:
+        """Meaning of the momenta, for messages; "" for velocities."""
+        return "" if not self.momenta else CANONICAL if self.general else "mass times velocity"
+
+    @property
     def measured_controls(self) -> tuple[str, ...]:
         """Names of the controls with their units, such as `u [N]`."""
         units = {column.name: column.unit for column in self.columns}

@@ -117,7 +117,7 @@ def require_different(paths: list[Path]) -> None:
 
 def together(paths: list[Path], contents: list[Content]) -> Content:
     """Return the first of several contents after checking that they match; raises UserError otherwise."""
-    for name in ("positions", "rates", "momenta", "units", "frame", "measured_controls", "linear"):
+    for name in ("positions", "rates", "stated_momenta", "units", "frame", "measured_controls", "linear"):
         first = getattr(contents[0], name)
         for path, content in zip(paths, contents, strict=True):
             if (received := getattr(content, name)) != first:

@@ -118,6 +118,23 @@ def test_a_fault_of_a_sidecar(tmp_path, sidecar, expected):
     assert expected in message_of(tmp_path, GOOD, sidecar)
 
 
+def test_momenta_of_several_files_have_one_meaning(tmp_path):
+    paths = [tmp_path / "a.csv", tmp_path / "b.csv"]
+    for k, path in enumerate(paths):
+        path.write_text("id,t,q,p\n" + "".join(f"{k},{n},{n},1\n" for n in range(5)))
+    paths[0].with_suffix(".yaml").write_text(
+        "columns: {id: id, time: t, positions: q, momenta: p}\nmass: canonical\n"
+    )
+    paths[1].with_suffix(".yaml").write_text("columns: {id: id, time: t, positions: q, momenta: p}\n")
+    expected = r"b.csv: expected momenta canonical, as in .*a.csv; received mass times velocity"
+    with pytest.raises(UserError, match=expected):
+        Files("mine", [str(path) for path in paths])
+    paths[1].with_suffix(".yaml").write_text(
+        "columns: {id: id, time: t, positions: q, momenta: p}\nmass: canonical\n"
+    )
+    assert not Files("mine", [str(path) for path in paths]).space.mechanical
+
+
 def test_a_file_that_is_none(tmp_path):
     with pytest.raises(UserError, match=r"system.path: expected a file; received .*none.csv: No such file"):
         Files("mine", str(tmp_path / "none.csv"))
