@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
 from ahnn.errors import Occupied, UserError
-from ahnn.evaluation import Findings, Row
-from ahnn.evaluation.sinks import MetricsSink
+from ahnn.evaluation import Row
+from ahnn.evaluation.results import write_results
 from ahnn.files import claimed, write_atomically
 from ahnn.manifest import NAME, is_own, recorded, remove_own, require_folder, require_own
 
@@ -173,7 +173,7 @@ def test_a_sweep_takes_no_folder_of_somebody_else(tmp_path, monkeypatch, capsys)
 @pytest.fixture
 def evaluated(tmp_path):
     """A run folder with results, as one finds it in a colleague's folder."""
-    MetricsSink(tmp_path / "run")(make_results(Row(MODEL, scores())), Findings())
+    write_results(tmp_path / "run", make_results(Row(MODEL, scores())))
     return tmp_path / "run"
 
 
@@ -278,11 +278,11 @@ def test_a_resumed_run_keeps_the_pictures_of_others(tmp_path):
 
 
 def test_pictures_are_not_drawn_through_a_link(tmp_path):
-    from ahnn.evaluation.sinks import FigureSink
+    from ahnn.evaluation.sinks.figure_files import write_figures
 
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "figures").symlink_to(tmp_path / "elsewhere")
-    found = Findings(figures={"error": Figure(figsize=(1, 1))})
+    found = {"error": Figure(figsize=(1, 1))}
     with pytest.raises(UserError, match="received a link that"):
-        FigureSink(tmp_path)(make_results(Row(MODEL, scores())), found)
+        write_figures(tmp_path, found)
     assert not [*(tmp_path / "elsewhere").iterdir()]

@@ -1,7 +1,7 @@
-"""Evaluation of a trained model: rollouts of unseen trajectories, floors, rows, results, sinks.
+"""Evaluation of a trained model: rollouts of unseen trajectories, floors, rows, results.
 
 A `Case` is the input of an evaluation. `report` writes the findings; `evaluate` only returns them. Every
-row has an identity, `Who`, and every sink receives the same `Results`, which `load_results` reads back.
+row has an identity, `Who`, and every output has the same `Results`, which `load_results` reads back.
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,6 +13,7 @@ from ahnn.contents import read_json
 from ahnn.errors import UserError
 from ahnn.evaluation.case import Row, Who
 from ahnn.evaluation.titles import title
+from ahnn.files import write_atomically
 from ahnn.metrics import Scores
 from ahnn.types import Space, Units
 
@@ -85,6 +87,12 @@ def load_results(folder: Path | str) -> Results:
         message = f"{path}: expected schema {SCHEMA}; received {schema}. Evaluate the run again"
         raise UserError(message)
     return results
+
+
+def write_results(folder: Path, results: Results) -> None:
+    """Write metrics.json as strict JSON into a folder; `load_results` reads it."""
+    text = json.dumps(encoded(results), indent=2, allow_nan=False)
+    write_atomically(folder / FILE, text.encode())
 
 
 def encoded(results: Results) -> dict[str, Any]:

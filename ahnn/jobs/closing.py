@@ -19,7 +19,6 @@ from ahnn.evaluation.case import Case
 from ahnn.evaluation.make_case import make_case
 from ahnn.evaluation.results import FILE, load_results
 from ahnn.evaluation.run import band_tests
-from ahnn.evaluation.sinks import TensorBoardSink
 from ahnn.jobs.prepared import Prepared
 from ahnn.loading import Run, load, made, weights_path
 from ahnn.measurements import UnknownNoise
@@ -105,8 +104,7 @@ def judge(prepared: Prepared, seconds: float, steps: int | None = None) -> float
         "val_loss": loss,
     }
     boards = [logger for logger in trainer.loggers if isinstance(logger, TensorBoardLogger)]
-    sinks = [TensorBoardSink(board, plan.searched) for board in boards]
-    report(case, plan.plugins, training, more=sinks, **plan.report)
+    report(case, plan.plugins, training, boards=[(board, plan.searched) for board in boards], **plan.report)
     if boards:
         log.info("TensorBoard: tensorboard --logdir %s", folder)
     return loss

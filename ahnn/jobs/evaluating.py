@@ -14,7 +14,6 @@ from ahnn.data.splits import SAME
 from ahnn.errors import UserError
 from ahnn.evaluation import EvaluationPlugin, evaluation_folder, load_results, report
 from ahnn.evaluation.make_case import make_case
-from ahnn.evaluation.sinks import TensorBoardSink
 from ahnn.evaluation.sinks.board import EventBoard
 from ahnn.loading import weights_path
 from ahnn.runs import Run
@@ -68,8 +67,8 @@ def evaluate(asked: Reevaluation) -> None:
         case = make_case(run.dynamics, splits, folder=folder, **named, **learned)
         name, count = case.space.name, len(case.test.states)
         log.info("evaluating %s on %d trajectories of %s", asked.label, count, name)
-        boards = [TensorBoardSink(EventBoard(folder), about)] if asked.report["figures"] else []
-        report(case, asked.plugins, known, more=boards, **asked.report)
+        boards = [(EventBoard(folder), about)] if asked.report["figures"] else []
+        report(case, asked.plugins, known, boards=boards, **asked.report)
 
 
 def robust_of(run: Run) -> RobustName:

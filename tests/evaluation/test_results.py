@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 from ahnn.errors import UserError
 from ahnn.evaluation import Findings, Row, Who, evaluation_folder, load_results, report
 from ahnn.evaluation.provenance import commit, provenance
-from ahnn.evaluation.results import NOT_FINITE, decoded, encoded, plain
-from ahnn.evaluation.sinks import MetricsSink
+from ahnn.evaluation.results import NOT_FINITE, decoded, encoded, plain, write_results
 from ahnn.metrics import Scores
 
 TEXT = st.text(max_size=12).filter(lambda text: text not in NOT_FINITE)
@@ -86,7 +85,7 @@ def test_energies_that_are_not_known_are_null(tmp_path):
 
 
 def write(folder, change):
-    MetricsSink(folder)(make_results(Row(MODEL, scores())), Findings())
+    write_results(folder, make_results(Row(MODEL, scores())))
     content = json.loads((folder / "metrics.json").read_text())
     change(content)
     (folder / "metrics.json").write_text(json.dumps(content))

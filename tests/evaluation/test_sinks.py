@@ -19,7 +19,9 @@ from safetensors.torch import load_file
 
 from ahnn.evaluation import Findings, Row, evaluate, style
 from ahnn.evaluation.open_loop import open_loop
-from ahnn.evaluation.sinks import FigureSink, PredictionSink, TensorBoardSink
+from ahnn.evaluation.publish import write_predictions
+from ahnn.evaluation.sinks.figure_files import write_figures
+from ahnn.evaluation.sinks.tensorboard import log_scores
 from ahnn.evaluation.trajectory_figures import Curve, energy, error, in_time, open_loop_figures
 from ahnn.files import write_atomically
 
@@ -35,18 +37,18 @@ def names(folder):
 
 
 def test_pictures_are_written_fresh_in_two_formats(tmp_path):
-    FigureSink(tmp_path)(RESULTS, findings("error", "orbit"))
+    write_figures(tmp_path, findings("error", "orbit").figures)
     (tmp_path / "figures" / "notes.txt").write_text("mine")
-    FigureSink(tmp_path)(RESULTS, findings("error", "ukf/state"))
+    write_figures(tmp_path, findings("error", "ukf/state").figures)
     expected = {"error.png", "error.svg", "ukf_state.png", "ukf_state.svg", "notes.txt", ".ahnn-files"}
     assert names(tmp_path / "figures") == expected
-    FigureSink(tmp_path)(RESULTS, findings())
+    write_figures(tmp_path, findings().figures)
     assert names(tmp_path / "figures") == {"notes.txt"}
 
 
 def test_the_same_figure_is_the_same_file(tmp_path):
     for name in ("a", "b"):
-        FigureSink(tmp_path / name)(RESULTS, evaluate(make_case(tmp_path), {}))
+        write_figures(tmp_path / name, evaluate(make_case(tmp_path), {}).figures)
     for path in (tmp_path / "a" / "figures").iterdir():
         assert path.read_bytes() == (tmp_path / "b" / "figures" / path.name).read_bytes()
 
@@ -57,7 +59,7 @@ def test_links_are_neither_followed_nor_removed(tmp_path):
     folder = tmp_path / "run" / "figures"
     folder.mkdir(parents=True)
     (folder / "old.png").symlink_to(kept)
-    FigureSink(tmp_path / "run")(RESULTS, findings("error"))
+    write_figures(tmp_path / "run", findings("error").figures)
     assert kept.read_text() == "mine"
     assert names(folder) == {"error.png", "error.svg", "old.png", ".ahnn-files"}
 
@@ -70,9 +72,9 @@ def test_files_have_the_usual_permissions_and_leave_nothing_behind(tmp_path):
 
 
 def test_predictions_are_kept_or_removed(tmp_path):
-    PredictionSink(tmp_path)(RESULTS, findings())
+    write_predictions(tmp_path, RESULTS, findings().arrays, keep=True)
     assert torch.equal(load_file(tmp_path / "predictions.safetensors")["a"], torch.arange(3.0))
-    PredictionSink(tmp_path, keep=False)(RESULTS, findings())
+    write_predictions(tmp_path, RESULTS, findings().arrays, keep=False)
     assert not names(tmp_path)
 
 
@@ -87,7 +89,7 @@ def test_tensorboard_gets_one_name_for_all_models():
     rows.append(Row(MODEL._replace(start="perturbed", estimator="ukf"), scores(3.0, 4.0)))
     results = make_results(*rows, training={"val_loss": 0.5}, numbers={"ukf": {"alpha": 1.0}})
     settings = {"optimizer": {"lr": 0.1}, "model": "hidden"}
-    TensorBoardSink(logger, settings)(results, findings("error"))
+    log_scores(logger, settings, results, findings("error").figures)
     (params, metrics), summary, end = calls
     assert params == {"system": "spring", "model": "model of mine", "assumes": "nothing", "optimizer.lr": 0.1}
     assert metrics == {
@@ -113,8 +115,8 @@ def test_a_figure_is_drawn_once_for_all_sinks(tmp_path, monkeypatch):
         save(figure, file, **options)
 
     monkeypatch.setattr(Figure, "savefig", counted)
-    FigureSink(tmp_path)(RESULTS, found)
-    FigureSink(tmp_path / "again")(RESULTS, found)
+    write_figures(tmp_path, found.figures)
+    write_figures(tmp_path / "again", found.figures)
     assert formats == ["png", "svg"]
     assert names(tmp_path / "figures") == names(tmp_path / "again" / "figures")
 
@@ -138,7 +140,7 @@ def test_every_case_draws_what_it_can(tmp_path, name):
     figures = open_loop_figures(case, open_loop(case).arrays)
     assert next(iter(figures)) == "error"
     assert ("energy" in figures) == (name != "neither energy")
-    FigureSink(tmp_path)(RESULTS, Findings(figures=figures))
+    write_figures(tmp_path, figures)
 
 
 @pytest.mark.parametrize("name", ["spring", "plane", "space"])
@@ -152,7 +154,7 @@ def test_of_measured_positions_no_velocity_and_no_energy_is_drawn(tmp_path, name
     (panel,) = figures["error"].axes
     assert panel.get_ylabel().startswith("position error")
     assert panel.get_title().endswith("fitted start")
-    FigureSink(tmp_path)(RESULTS, Findings(figures=figures))
+    write_figures(tmp_path, figures)
 
 
 def test_the_error_is_drawn_over_the_times_of_the_data(tmp_path):

@@ -9,8 +9,8 @@ import pytest
 from cases import MODEL, make_results, scores
 from rich.console import Console
 
-from ahnn.evaluation import Findings, Row, Who
-from ahnn.evaluation.sinks import MetricsSink
+from ahnn.evaluation import Row, Who
+from ahnn.evaluation.results import write_results
 from ahnn.evaluation.sweep_summary import PRUNED, OverrideCell, rounded, sweep_table
 from ahnn.evaluation.terminal import show
 
@@ -33,9 +33,9 @@ def sweep(tmp_path):
     ]
     training = {"window": 5, "val_loss": 1e-9, "seconds": 12.25}
     first = make_results(*decoys, Row(MODEL, scores(1.25, 2.5)), training=training)
-    MetricsSink(jobs[0])(first, Findings())
+    write_results(jobs[0], first)
     other = make_results(Row(MODEL, scores(math.inf, None)), training={"window": 1, "val_loss": 0.5})
-    MetricsSink(jobs[1])(other, Findings())
+    write_results(jobs[1], other)
     (jobs[2] / "metrics.json").write_text("{")
     return tmp_path, jobs
 
@@ -68,7 +68,7 @@ def test_a_least_loss_beside_a_far_smaller_error_is_said(sweep, capsys, other, w
     """Job 0 with an error of 1.25 has the least loss; job 3 has a tenth of it or less, or another window."""
     folder, jobs = sweep
     better = make_results(Row(MODEL, scores(other, 1.0)), training={"window": window, "val_loss": 1e-8})
-    MetricsSink(jobs[3])(better, Findings())
+    write_results(jobs[3], better)
     show(sweep_table(folder, [jobs[0], jobs[3]]))
     out = " ".join(capsys.readouterr().out.split())
     assert ("Job 0 has the least val loss, but 12 times the error of job 3" in out) is told

@@ -13,7 +13,6 @@ import pytest
 from cases import make_case
 
 from ahnn.evaluation import report
-from ahnn.evaluation.sinks import TensorBoardSink
 from ahnn.evaluation.sinks.board import EventBoard
 
 SECONDS = 120
@@ -34,9 +33,7 @@ def ask(tmp_path):
     """A function that asks a server on the folder of an evaluation for plain values or for a picture."""
     folder = tmp_path / "runs" / "mine"
     settings = {"seed": 7, "model": {"width": 64}}
-    results = report(
-        make_case(folder), {}, {"val_loss": 0.5}, more=[TensorBoardSink(EventBoard(folder), settings)]
-    )
+    results = report(make_case(folder), {}, {"val_loss": 0.5}, boards=[(EventBoard(folder), settings)])
     command = [sys.executable, "-c", SERVER, str(tmp_path / "runs")]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
     with subprocess.Popen(command, text=True, **pipes) as server:

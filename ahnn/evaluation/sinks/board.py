@@ -7,7 +7,7 @@ from typing import Any
 
 
 class EventBoard:
-    """Logger for `TensorBoardSink`, based on torch's own writer.
+    """Logger for `log_scores`, based on torch's own writer.
 
     Args:
         folder: folder of the events.

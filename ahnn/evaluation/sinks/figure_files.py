@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import io
 import logging
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, final
+from typing import Any
 from weakref import WeakKeyDictionary
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from ahnn.evaluation.case import Findings
-from ahnn.evaluation.results import Results
 from ahnn.files import write_atomically
 from ahnn.manifest import own_folder, remove_own
 from ahnn.progress import track
@@ -30,25 +27,18 @@ logging.getLogger("fontTools").setLevel(logging.WARNING)  # a PDF would log fift
 _DRAWN: WeakKeyDictionary[Figure, dict[str, bytes]] = WeakKeyDictionary()
 
 
-@final
-@dataclass(frozen=True)
-class FigureSink:
-    """Writes the figures into a folder.
+def write_figures(folder: Path, figures: Mapping[str, Figure]) -> None:
+    """Write figures in each format to `folder/figures`, after removing earlier ones from there.
 
-    Attributes:
-        folder: folder of the evaluation; earlier figures in `folder/figures` are removed.
+    Args:
+        folder: folder of the evaluation.
+        figures: figures by name.
     """
-
-    folder: Path
-
-    def __call__(self, results: Results, findings: Findings) -> None:  # noqa: ARG002
-        """Write every figure in each format."""
-        folder = own_folder(self.folder / "figures")
-        clear(folder)
-        figures = findings.figures
-        for name, figure in track(figures.items(), "drawing figures", len(figures)):
-            for suffix in FORMATS:
-                write_atomically(folder / f"{name.replace('/', '_')}{suffix}", drawn(figure, suffix))
+    folder = own_folder(folder / "figures")
+    clear(folder)
+    for name, figure in track(figures.items(), "drawing figures", len(figures)):
+        for suffix in FORMATS:
+            write_atomically(folder / f"{name.replace('/', '_')}{suffix}", drawn(figure, suffix))
 
 
 def clear(folder: Path) -> None:
@@ -63,7 +53,7 @@ def pictures_in(folder: Path, formats: Iterable[str] = tuple(FORMATS)) -> list[P
 
 
 def drawn(figure: Figure, suffix: str) -> bytes:
-    """Return a figure as file content; each format is drawn once for all sinks."""
+    """Return a figure as file content; each format is drawn once for all outputs."""
     contents = _DRAWN.setdefault(figure, {})
     if suffix not in contents:
         buffer = io.BytesIO()

@@ -4,39 +4,35 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, final
+from typing import TYPE_CHECKING, Any
 
 from ahnn.arguments import flatten
-from ahnn.evaluation.case import Findings
 from ahnn.evaluation.results import Results
 from ahnn.evaluation.score_table import QUANTITIES
-from ahnn.evaluation.sinks.base import TensorBoardLike
 from ahnn.evaluation.sinks.figure_files import drawn
 from ahnn.evaluation.titles import metric_name
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-@final
-@dataclass(frozen=True)
-class TensorBoardSink:
-    """Writes hyper-parameters with the resulting scores, and figures.
+
+def log_scores(
+    logger: Any, settings: Mapping[str, Any], results: Results, figures: Mapping[str, Figure]
+) -> None:
+    """Write figures and the HPARAMS entry with the scores of all rows except floors.
 
     Scores have names without the model's label, so that runs of several models share a column.
 
-    Attributes:
-        logger: Lightning's TensorBoard logger, or a compatible one.
+    Args:
+        logger: Lightning's TensorBoard logger, or an `EventBoard`, which shows the methods needed.
         settings: nested hyper-parameters in addition to system, model and its assumptions.
+        results: results with the scores.
+        figures: figures by name.
     """
-
-    logger: TensorBoardLike
-    settings: Mapping[str, Any] = field(default_factory=dict)
-
-    def __call__(self, results: Results, findings: Findings) -> None:
-        """Write figures and the HPARAMS entry with the scores of all rows except floors."""
-        self.logger.log_hyperparams(hyperparameters(results, self.settings), scores(results))
-        for name, figure in findings.figures.items():
-            self.logger.experiment.file_writer.add_summary(image(name, drawn(figure, ".png")), 0)
-        self.logger.finalize("success")
+    logger.log_hyperparams(hyperparameters(results, settings), scores(results))
+    for name, figure in figures.items():
+        logger.experiment.file_writer.add_summary(image(name, drawn(figure, ".png")), 0)
+    logger.finalize("success")
 
 
 def image(name: str, png: bytes) -> Any:
