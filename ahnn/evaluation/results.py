@@ -5,10 +5,11 @@ from __future__ import annotations
 import html
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, get_args, get_type_hints
+from typing import Any, NamedTuple, TypeVar
 
+from ahnn.arguments import check_values
 from ahnn.contents import read_json
 from ahnn.errors import UserError
 from ahnn.evaluation.case import Row, Who
@@ -16,6 +17,8 @@ from ahnn.evaluation.titles import title
 from ahnn.files import write_atomically
 from ahnn.metrics import Scores
 from ahnn.types import Space, Units
+
+T = TypeVar("T")
 
 SCHEMA = 2
 """Schema version, increased when the meaning of a key of metrics.json changes."""
@@ -124,30 +127,41 @@ def encoded(results: Results) -> dict[str, Any]:
 
 
 def decoded(content: Mapping[str, Any]) -> Results:
-    """Rebuild results from the output of `encoded`; raises KeyError, TypeError or ValueError.
+    """Rebuild results from the output of `encoded`; raises KeyError, TypeError, AttributeError or UserError.
 
-    In `training`, `about`, `extra` and the numbers of plugins, the strings inf, -inf and nan become numbers.
+    Except in texts such as labels and notes, the strings inf, -inf and nan become numbers.
     """
-    units = Units(**{key: _text(value) for key, value in content["units"].items()})
-    components = tuple(_text(name) for name in content["components"])
-    frame = _text(content.get("frame", ""))  # absent in earlier versions
-    mechanical = content.get("mechanical", True) is True
-    return Results(
-        label=_text(content["model"]),
-        assumes=_text(content["assumes"]),
-        space=Space(
-            _text(content["system"]), components, units, _inertia(content["inertia"]), frame, mechanical
-        ),
-        rows=tuple(_row(row) for row in content["rows"]),
-        training=restored(dict(content["training"])),
-        numbers=restored(dict(content["plugins"])),
-        about=restored(dict(content["about"])),
-        schema=content["schema"],
-    )
+    space = {
+        "name": content["system"],
+        "components": content["components"],
+        "units": _built(Units, content["units"]),
+        "inertia": restored(content["inertia"]),
+    }
+    later = ("frame", "mechanical")  # absent in earlier versions
+    space |= {name: content[name] for name in later if name in content}
+    results = {
+        "label": content["model"],
+        "assumes": content["assumes"],
+        "space": _built(Space, space),
+        "rows": [_row(row) for row in content["rows"]],
+        "training": restored(content["training"]),
+        "numbers": restored(content["plugins"]),
+        "about": restored(content["about"]),
+        "schema": content["schema"],
+    }
+    return _built(Results, results)
 
 
-def _inertia(value: Any) -> float | tuple[float, ...]:
-    return tuple(map(_number, value)) if isinstance(value, list) else _number(value)
+def _row(row: Mapping[str, Any]) -> Row:
+    who = _built(Who, {name: row[name] for name in Who._fields})
+    scores = _built(Scores, {name: restored(row[name]) for name in Scores._fields})
+    return _built(Row, {"who": who, "scores": scores, "note": row["note"], "extra": restored(row["extra"])})
+
+
+def _built(kind: Callable[..., T], fields: Mapping[str, Any]) -> T:
+    """Return a named tuple of fields that fit its annotations, with lists as tuples."""
+    check_values("", kind, fields)
+    return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in fields.items()})
 
 
 def plain(value: Any) -> Any:
@@ -170,46 +184,3 @@ def restored(value: Any) -> Any:
     if isinstance(value, list):
         return [restored(item) for item in value]
     return NOT_FINITE.get(value, value) if isinstance(value, str) else value
-
-
-def _row(row: Mapping[str, Any]) -> Row:
-    who = Who(
-        process=_text(row["process"]),
-        start=_choice("start", row["start"]),
-        estimator=None if row["estimator"] is None else _text(row["estimator"]),
-        span=_choice("span", row["span"]),
-        floor=bool(row["floor"]),
-    )
-    names = [name for name in Scores._fields if name not in ("energy", "components")]
-    scores = Scores(
-        **{name: _number(row[name]) for name in names},
-        energy=None if row["energy"] is None else _number(row["energy"]),
-        components=tuple(_number(value) for value in row["components"]),
-    )
-    return Row(who, scores, _text(row["note"]), restored(dict(row["extra"])))
-
-
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        message = f"expected a string, received {value!r}"
-        raise TypeError(message)
-    return value
-
-
-def _choice(name: str, value: Any) -> Any:
-    """Return a validated field of a row identity."""
-    known = get_args(get_type_hints(Who)[name])
-    if value not in known:
-        message = f"{name}: expected one of {', '.join(known)}, received {value!r}"
-        raise ValueError(message)
-    return value
-
-
-def _number(value: Any) -> float:
-    """Return a score from a JSON number or from the string for a non-finite number."""
-    if isinstance(value, str):
-        return NOT_FINITE[value]
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        message = f"expected a number, received {value!r}"
-        raise TypeError(message)
-    return float(value)
