@@ -218,8 +218,8 @@ def test_mistakes_are_one_message_before_any_work(words, message, capfd, tmp_pat
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["data.noise=0.05"], "draw_1 was made; received data.noise=0.05 instead of none. Choose"),
-        (["spread=0.3"], "draw_1 was made; received 0.3 instead of 0.1. Choose another folder than output="),
+        (["data.noise=0.05"], "training.data.noise: expected nothing, received 0.05\nChoose"),
+        (["spread=0.3"], "spread: expected 0.1, received 0.3\nChoose another folder than output="),
         (["samples=10"], "samples: expected "),
     ],
 )

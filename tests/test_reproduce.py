@@ -110,10 +110,10 @@ def test_a_training_that_was_cut_goes_on_to_the_same_bits(whole, tmp_path, monke
 @pytest.mark.parametrize(
     ("changed", "key"),
     [
-        (["optimizer.lr=0.01"], "optimizer.lr=0.003; received optimizer.lr=0.01."),
+        (["optimizer.lr=0.01"], "  optimizer.lr: expected 0.003, received 0.01"),
         (
             ["experiment=paper_hnn", "data.val_windows=30"],
-            "data.val_windows=40; received data.val_windows=30.",
+            "  data.val_windows: expected 40, received 30",
         ),
         (["plugins=none"], "plugins.ukf"),
     ],
@@ -122,9 +122,10 @@ def test_other_settings_in_the_same_folder_are_refused(whole, changed, key, caps
     before = content(whole)
     overrides = [text for text in TINY if "ukf" not in text or "plugins=none" not in changed]
     assert call("ahnn.reproduce", *overrides, *changed, f"run={whole}") == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert key in line
-    assert line.endswith("Choose another folder with run=")
+    error = capsys.readouterr().err.strip()
+    assert f"run {whole}" in error
+    assert key in error
+    assert error.endswith("Choose another folder with run=")
     assert content(whole) == before
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from ahnn.arguments import Count, Within
+from ahnn.checkpoints import require_same
 from ahnn.cli.early_stops import ended
 from ahnn.cli.numbered_draws import SCORE, appearing, finished, run_missing, score
 from ahnn.cli.pairs import read_pairs
@@ -110,21 +111,11 @@ def require_same_settings(plan: Sequence[CalibrationDraw], wanted: dict[str, Any
     """Raise UserError if a finished draw was made with other settings."""
     for draw in filter(finished, plan):
         known = score(draw).get("settings", {})
-        if changed := [key for key in wanted if known.get(key) != wanted[key]]:
-            key = changed[0]
-            old, new = (words_of(a.get(key), b.get(key)) for a, b in ((known, wanted), (wanted, known)))
-            message = (
-                f"{key}: expected the settings with which {draw.folder} was made; received {new} instead of "
-                f"{old}. Choose another folder than output={output}"
-            )
-            raise UserError(message)
-
-
-def words_of(setting: Any, other: Any) -> str:
-    """Return a setting as on a command line; of several words, those that another setting lacks."""
-    if not isinstance(setting, list):
-        return "unknown ones" if setting is None else str(setting)
-    return " ".join(word for word in setting if word not in (other or [])) or "none"
+        old, new = (
+            whole | {"training": dict(text.partition("=")[::2] for text in whole.get("training", []))}
+            for whole in (known, wanted)
+        )
+        require_same(f"draw {draw.folder}", old, new, f"Choose another folder than output={output}")
 
 
 def constants_of(overrides: list[str], spread: float, number: int) -> list[str]:

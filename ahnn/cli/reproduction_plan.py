@@ -116,6 +116,8 @@ def require_same_settings(made: Plan) -> None:
     Raises:
         UserError: one of them has other settings.
     """
+    from ahnn.checkpoints import require_same
+
     first = next(iter(made.runs.values()))
     for path in sorted(made.folder.glob("*/config.yaml")):
         found, cfg, loose = read_plain(path), made.runs.get(path.parent.name), MACHINE
@@ -123,15 +125,11 @@ def require_same_settings(made: Plan) -> None:
         if cfg is None:  # a model or a seed that this command omits
             found, wanted = ({key: whole.get(key) for key in SHARED} for whole in (found, wanted))
             loose = MACHINE | {"data.order_seed"}
-        old, new = flatten(found), flatten(wanted)
-        changed = [k for k in sorted(old.keys() | new.keys()) if k not in loose and old.get(k) != new.get(k)]
-        if changed:
-            key, more = changed[0], f" and {len(changed) - 1} more" if len(changed) > 1 else ""
-            message = (
-                f"run {made.folder}: expected the settings that {path.parent.name} was trained with, "
-                f"{key}={old.get(key)}{more}; received {key}={new.get(key)}. Choose another folder with run="
-            )
-            raise UserError(message)
+        old, new = (
+            {key: value for key, value in flatten(whole).items() if key not in loose}
+            for whole in (found, wanted)
+        )
+        require_same(f"run {path.parent}", old, new, "Choose another folder with run=")
 
 
 def settings(cfg: DictConfig, folder: str) -> dict[str, Any]:
