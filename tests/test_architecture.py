@@ -78,7 +78,7 @@ MAY_IMPORT = {key: set() for key in ("clock", "errors", "extensions", "locks", "
     "graphs": GROUND | {"dynamics", "evaluation", "runs"},
     "prediction": GROUND | {"dynamics", "data", "evaluation", "shooting", "uncertainty"},
     "assimilation": GROUND | {"data", "estimation", "evaluation"},
-    "pretrained": OPEN | {"checkpoints"},
+    "pretrained": OPEN,
     "runs": GROUND | {"dynamics", "evaluation", "prediction", "uncertainty"},
     "papers": {"loading", "runs"},
     "loading": GROUND | {"dynamics", "pretrained", "runs", "uncertainty"},

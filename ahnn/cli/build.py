@@ -144,14 +144,14 @@ def build_all(nodes: DictConfig, who: str, kind: type = object) -> dict[str, Any
     return {name.removeprefix(f"{who}."): build_it() for name, build_it in made.items()}
 
 
-def plain_config(cfg: Any, who: str = "configuration") -> dict[str, Any]:
+def plain_config(cfg: Any) -> dict[str, Any]:
     """Return a configuration as plain, resolved values.
 
     Raises:
         UserError: the configuration is a value instead of a mapping.
     """
     if not isinstance(cfg, DictConfig):
-        message = f"{who}: expected a mapping of keys to values; received {cfg!r}"
+        message = f"configuration: expected a mapping of keys to values; received {cfg!r}"
         raise UserError(message)
     return OmegaConf.to_container(cfg, resolve=True)  # pyright: ignore[reportReturnType]
 

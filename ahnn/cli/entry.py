@@ -26,7 +26,7 @@ from ahnn.errors import UserError
 from ahnn.paths import conf_dir
 
 
-def run_hydra(task: Callable[[DictConfig], Any], config_name: str = "train") -> None:
+def run_hydra(task: Callable[[DictConfig], Any]) -> None:
     """Run a task under Hydra; user errors give one message and an exit code, not a traceback."""
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises, so that we show the message
     # Hydra does not accept null for a group. For a group that is empty by default it is equivalent to no
@@ -34,17 +34,17 @@ def run_hydra(task: Callable[[DictConfig], Any], config_name: str = "train") -> 
     given = [argument for argument in sys.argv if argument not in ("experiment=null", "sweep=null")]
     words = [commandline.worded(argument) for argument in commandline.in_one_folder(given)]
     sys.argv = with_recorded(words)
-    leave(guard(lambda: start(task, config_name)))
+    leave(guard(lambda: start(task)))
 
 
-def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
+def start(task: Callable[[DictConfig], Any]) -> None:
     """Answer a request for help or completion, or check the command line and pass it to Hydra."""
     args = commandline.read(sys.argv[1:])
     if args.help:
         return show_help(args)
     if args.shell_completion and show_completion(args):
         return None
-    first = commandline.check(args, config_name)
+    first = commandline.check(args, "train")
     own = named_folder(args.overrides)
     is_new = own is None or not own.exists()
     above = [path for path in (own or Path("runs", "day")).absolute().parents if not path.exists()]
@@ -67,7 +67,7 @@ def start(task: Callable[[DictConfig], Any], config_name: str) -> None:
         return None
 
     with folder_of(own), contextlib.nullcontext() if first is None else known_mode(first.hydra.mode):
-        return hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name=config_name)(tidy)()
+        return hydra.main(version_base="1.3", config_path=str(conf_dir()), config_name="train")(tidy)()
 
 
 @contextlib.contextmanager

@@ -38,7 +38,7 @@ def reproduce(arguments: list[str], usage: str) -> None:
     sys.argv[1:] = ["--multirun", *made.overrides]
     try:
         with ended(lambda: "repeat the command to resume"):
-            start(one, "train")
+            start(one)
     finally:  # after a failure, the table of the finished runs is still shown
         if made.finished():
             show(summary(made.folder, made.runs))

@@ -117,11 +117,11 @@ def label_time(axes: Any, axis: Axis) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
 
 
-def label_errors(case: Case, panels: Iterable[Any], word: str = "error") -> None:
+def label_errors(case: Case, panels: Iterable[Any]) -> None:
     """Label the vertical axes of a panel of positions and, if present, of a panel of velocities."""
     for axes, name in zip(panels, NAMES, strict=False):
         called, unit = quantity(case.space, name)
-        axes.set_ylabel(f"{called} {word} [{unit}]")
+        axes.set_ylabel(f"{called} error [{unit}]")
 
 
 def state_labels(case: Case) -> list[str]:

@@ -29,7 +29,6 @@ class Local(NamedTuple):
         value, rate, curvature: (E, C) value at the centre, and first and second derivatives.
         rate_sd, curvature_sd: (E, C) standard deviations of the derivatives, from the scatter of the samples.
         error: (E, C) difference of the central sample from the polynomial through all other samples.
-        leverage: (E,) weight of the central sample in the value at the centre.
         width: number of fitted samples on either side.
         chosen: (E, 2) row and column of the central samples; None for the first samples of segments.
     """
@@ -40,7 +39,6 @@ class Local(NamedTuple):
     rate_sd: Tensor
     curvature_sd: Tensor
     error: Tensor
-    leverage: Tensor
     width: int = 0
     chosen: Tensor | None = None
 
@@ -74,7 +72,6 @@ def local_polynomials(values: Tensor, offsets: Tensor, middle: int, degree: int 
         sds[:, 1] / scale,
         2 * sds[:, 2] / scale**2,
         left,
-        leverage,
     )
 
 

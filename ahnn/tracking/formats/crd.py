@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from pathlib import Path
 
 from ahnn.data.files import epochs
-from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.files.table import Fault, Note, Place, refuse, within
 from ahnn.tracking.formats.crd_session import (
     NormalPoint,
@@ -60,16 +58,6 @@ UNUSED = {
 """Records that are not needed; 90 to 99 are station-specific."""
 SLACK = 120 * epochs.SECOND
 """Tolerance by which a normal point may lie outside the times of its session."""
-
-
-def read_crd(path: str | Path) -> list[TrackingData]:
-    """Read the normal points of a file, for each satellite and epoch event.
-
-    Raises:
-        UserError: an invalid record, with its line number.
-    """
-    path = Path(path)
-    return crd_data(decoded(content_of(path), path), str(path))
 
 
 def crd_data(text: str, file: str, note: Note = refuse) -> list[TrackingData]:

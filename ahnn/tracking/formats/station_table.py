@@ -15,29 +15,11 @@ A table does not contain units. A sidecar (`tracking_sidecar`), a YAML file of t
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.files.table import Fault, Note, Place, refuse
 from ahnn.tracking.formats.gathered import TrackingReading, gathered, measured
 from ahnn.tracking.formats.instants import utc_moment
-from ahnn.tracking.formats.tracking_sidecar import COLUMNS, UNITS, TrackingSidecar, sidecar_of
+from ahnn.tracking.formats.tracking_sidecar import COLUMNS, UNITS, TrackingSidecar
 from ahnn.tracking.tracking_data import Kind, TrackingData
-
-
-def read_station_table(path: str | Path, aside: str | Path | None = None) -> list[TrackingData]:
-    """Read a plain table of measurements.
-
-    Args:
-        path: path of the table.
-        aside: path of the sidecar; None for the YAML file of the same name, if present.
-
-    Raises:
-        UserError: an invalid line, with its number, or an invalid sidecar.
-    """
-    path = Path(path)
-    said = sidecar_of(path, None if aside is None else Path(aside))
-    return table_data(decoded(content_of(path), path), str(path), said)
 
 
 def table_data(text: str, file: str, said: TrackingSidecar, note: Note = refuse) -> list[TrackingData]:

@@ -8,41 +8,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from ahnn.data.files import epochs
-from ahnn.data.files.raw import content_of, decoded
 from ahnn.data.files.table import Fault, Note, Place, refuse, within
 from ahnn.tracking.formats.gathered import TrackingReading, between, gathered, measured
 from ahnn.tracking.formats.instants import utc_moment
 from ahnn.tracking.formats.tdm_link import TdmLink, link_of, tdm_clock
 from ahnn.tracking.formats.tdm_segment import USED_DATA, WEATHER, TdmSegment, kvn_segments
 from ahnn.tracking.formats.tdm_xml import xml_segments
-from ahnn.tracking.formats.tracking_sidecar import TwoWay, sidecar_of
+from ahnn.tracking.formats.tracking_sidecar import TwoWay
 from ahnn.tracking.tracking_data import Event, Kind, TrackingData
 
 WEATHER_BOUNDS = {"PRESSURE": (300.0, 1200.0), "TEMPERATURE": (180.0, 340.0), "RHUMIDITY": (0.0, 105.0)}
 
 WeatherSeries = dict[str, dict[str, list[tuple[int, float]]]]
 """Moments and values by station and keyword."""
-
-
-def read_tdm(path: str | Path, two_way: TwoWay | None = None) -> list[TrackingData]:
-    """Read the measurements of a message, by satellite and time-tagged event.
-
-    Args:
-        path: path of the file, in either notation.
-        two_way: part of the round trip that two-way ranges and rates measure, half or whole; None: as in the
-            sidecar, else half.
-
-    Raises:
-        UserError: invalid content, with its line number.
-    """
-    path = Path(path)
-    two_way = two_way or sidecar_of(path).two_way
-    return tdm_data(decoded(content_of(path), path), str(path), two_way)
 
 
 def tdm_data(text: str, file: str, two_way: TwoWay = "half", note: Note = refuse) -> list[TrackingData]:

@@ -9,8 +9,9 @@ from made_formats import CRD, CRD2, REAL
 from ahnn.data.files import instant
 from ahnn.data.files.epochs import SECOND, spelled
 from ahnn.errors import UserError
-from ahnn.tracking.formats.crd import crd_data, read_crd
+from ahnn.tracking.formats.crd import crd_data
 from ahnn.tracking.formats.crd_session import WeatherRecord, moment_near, weather_at
+from ahnn.tracking.formats.tracking_files import read_tracking
 
 HALF = 149896.229  # km of half a second of light
 
@@ -122,7 +123,7 @@ def test_a_damaged_point_is_noted_and_the_others_are_read():
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="no real files beside the checkout")
 def test_real_normal_points():
-    (data,) = read_crd(REAL / "lageos2" / "lageos2_20160214.npt")
+    (data,) = read_tracking(REAL / "lageos2" / "lageos2_20160214.npt")
     assert np.bincount(data.station).tolist() == [17, 37, 27, 14]
     assert data.stations == ("7825", "7090", "7119", "7941")
     assert ((data.values[:, 0] > 5600) & (data.values[:, 0] < 8500)).all()

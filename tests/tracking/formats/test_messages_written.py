@@ -13,7 +13,7 @@ from ahnn.errors import UserError
 from ahnn.tracking.formats.crd import crd_data
 from ahnn.tracking.formats.gathered import BOUNDS, TrackingReading, gathered
 from ahnn.tracking.formats.station_table import table_data
-from ahnn.tracking.formats.tdm import read_tdm, tdm_data
+from ahnn.tracking.formats.tdm import tdm_data
 from ahnn.tracking.formats.tdm_writing import write_tdm
 from ahnn.tracking.formats.tracking_sidecar import TrackingSidecar
 from ahnn.tracking.tracking_data import KINDS, TrackingData
@@ -38,7 +38,7 @@ def test_what_is_written_of_each_format_is_read_back(tmp_path, name):
     ]
     for data in sources:
         write_tdm(tmp_path / name, [data])
-        (found,) = read_tdm(tmp_path / name)
+        (found,) = tdm_data((tmp_path / name).read_text(), name)
         alike(found, data)
 
 
@@ -61,7 +61,7 @@ def test_any_data_are_read_back(tmp_path_factory, values, steps, missing, event,
     ]
     data = gathered("A", readings, event)
     write_tdm(path, [data])
-    (found,) = read_tdm(path)
+    (found,) = tdm_data(path.read_text(), path.name)
     order = np.argsort(found.station, kind="stable")
     assert len(order) >= 5
     merged = {}

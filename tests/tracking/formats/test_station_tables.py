@@ -9,7 +9,6 @@ from made_orbits import CPF
 
 from ahnn.data.files import instant
 from ahnn.errors import UserError
-from ahnn.tracking.formats.station_table import read_station_table
 from ahnn.tracking.formats.tracking_files import read_tracking
 from ahnn.tracking.tracking_data import KINDS
 
@@ -47,7 +46,7 @@ def test_a_sidecar_says_units_object_clock_event_and_deviations(table):
     assert data.deviations[1, 1:3].tolist() == [0.001, 0.001]
     other = table.with_name("other.yml")
     other.write_text(SIDECAR)
-    (data,) = read_station_table(table, other)
+    (data,) = read_tracking(table, other)
     assert (data.values[0, 0], data.event) == (5000.0, "receive")
 
 

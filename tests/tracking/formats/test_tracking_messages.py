@@ -8,7 +8,8 @@ from made_formats import DATA, META, kvn, xml
 
 from ahnn.data.files import instant
 from ahnn.errors import UserError
-from ahnn.tracking.formats.tdm import read_tdm, tdm_data
+from ahnn.tracking.formats.tdm import tdm_data
+from ahnn.tracking.formats.tracking_files import read_tracking
 from ahnn.tracking.tracking_data import KINDS
 
 LIGHT = 299792.458
@@ -41,11 +42,11 @@ def test_measurements_of_a_moment_are_together(notation):
 @BOTH
 def test_ranges_of_the_whole_way_are_halved(notation, tmp_path):
     (tmp_path / "a.tdm").write_text(notation())
-    (data,) = read_tdm(tmp_path / "a.tdm", "whole")
+    (data,) = tdm_data(notation(), "a.tdm", "whole")
     assert values(data, "range")[0] == 0.0025 * LIGHT
     assert values(data, "range_rate").tolist() == [-0.625, 0.75]
     (tmp_path / "a.yaml").write_text("two_way: whole\n")
-    (same,) = read_tdm(tmp_path / "a.tdm")
+    (same,) = read_tracking(tmp_path / "a.tdm")
     assert np.array_equal(same.values, data.values, equal_nan=True)
 
 
