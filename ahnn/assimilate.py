@@ -45,11 +45,6 @@ from ahnn.cli.early_stops import ended
 from ahnn.cli.guard import run_command
 from ahnn.cli.importing import importing
 
-USAGE = (
-    "usage: python -m ahnn.assimilate run=DIR | pretrained=NAME | orbit=FILE measurements=FILE|- "
-    "start=FILE|[..]|fit"
-)
-
 
 def assimilate(arguments: list[str]) -> None:
     """Assimilate the requested stream; raises the same errors as `cli.stream` and `jobs.assimilating`."""
@@ -58,13 +53,13 @@ def assimilate(arguments: list[str]) -> None:
         from ahnn.cli.stream import read_stream
         from ahnn.jobs import assimilating
 
-    stream = read_stream(arguments, USAGE)
+    stream = read_stream(arguments)
     saved = stream.asked.state is not None
     with ended(lambda: "repeat the command to resume") if saved else nullcontext():
         if stream.asked.workers is None:
             assimilating.assimilate(stream)
         else:
-            assimilate_sharded(stream, arguments, USAGE)
+            assimilate_sharded(stream, arguments)
 
 
 def main() -> None:

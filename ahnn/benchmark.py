@@ -1,4 +1,4 @@
-"""Published benchmark tasks, original and own models: `python -m ahnn.benchmark noisy_spring two_bodies`.
+"""Published benchmark tasks, original and own models: `python -m ahnn.benchmark NAME... | all [jobs=2]`.
 
 NAME...             two_bodies, three_bodies, noisy_spring, noisy_pendulum, one_orbit,
                     chain_2, chain_3, chain_5, points_henon_heiles,
@@ -19,15 +19,13 @@ import logging
 from ahnn.cli.guard import run_command
 from ahnn.cli.importing import importing
 
-USAGE = "usage: python -m ahnn.benchmark NAME... | all [draws=10] [jobs=2] [models=[A,B]] [output=FOLDER]"
-
 
 def benchmark(arguments: list[str]) -> None:
     """Train and score the models of the tasks named; raises the same errors as `cli.benchmarking`."""
     with importing():
         from ahnn.cli import benchmarking
 
-    benchmarking.benchmark(arguments, USAGE)
+    benchmarking.benchmark(arguments)
 
 
 def main() -> None:

@@ -9,6 +9,10 @@ class UserError(ValueError):
     """Invalid user input; the message names the source, the expected and received values, and the remedy."""
 
 
+class WrongUsage(UserError):
+    """A command line without what the command needs; the message states what was received."""
+
+
 class Occupied(UserError):
     """Another process uses the folder."""
 

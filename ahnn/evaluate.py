@@ -1,4 +1,4 @@
-"""Evaluate a finished run again: `python -m ahnn.evaluate run=DIR plugins=ukf`.
+"""Evaluate a finished run again: `python -m ahnn.evaluate run=DIR | pretrained=NAME [plugins=ukf]`.
 
 run=DIR             a run folder; its own config.yaml and weights are used
 pretrained=NAME     a model shipped with the package; run=DIR is then the folder of its results
@@ -17,8 +17,6 @@ import logging
 from ahnn.cli.guard import run_command
 from ahnn.cli.importing import importing
 
-USAGE = "usage: python -m ahnn.evaluate run=DIR | pretrained=NAME [name=NAME] [plugins=.] [key=value]"
-
 
 def evaluate(arguments: list[str]) -> None:
     """Evaluate the run named on the command line; raises the same errors as `cli.evaluation`."""
@@ -26,7 +24,7 @@ def evaluate(arguments: list[str]) -> None:
         from ahnn.cli.evaluation import read_evaluation
         from ahnn.jobs import evaluating
 
-    evaluating.evaluate(read_evaluation(arguments, USAGE))
+    evaluating.evaluate(read_evaluation(arguments))
 
 
 def main() -> None:

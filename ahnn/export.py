@@ -1,4 +1,4 @@
-"""Export learned dynamics for other programs: `python -m ahnn.export run=DIR output=FOLDER`.
+"""Export learned dynamics to other programs: `python -m ahnn.export run=DIR | pretrained=NAME output=FOLDER`.
 
 run=DIR             a run folder
 pretrained=NAME     a model shipped with the package
@@ -11,8 +11,6 @@ from __future__ import annotations
 from ahnn.cli.guard import run_command
 from ahnn.cli.importing import importing
 
-USAGE = "usage: python -m ahnn.export run=DIR | pretrained=NAME output=FOLDER [ckpt=best]"
-
 
 def export(arguments: list[str]) -> None:
     """Export the model named on the command line; raises the same errors as `jobs.exporting`."""
@@ -20,7 +18,7 @@ def export(arguments: list[str]) -> None:
         from ahnn.cli.pairs import read_pairs
         from ahnn.jobs import exporting
 
-    exporting.export(read_pairs(arguments, exporting.ExportRequest, USAGE))
+    exporting.export(read_pairs(arguments, exporting.ExportRequest))
 
 
 def main() -> None:

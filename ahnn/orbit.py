@@ -15,8 +15,6 @@ import logging
 from ahnn.cli.guard import run_command
 from ahnn.cli.importing import importing
 
-USAGE = "usage: python -m ahnn.orbit FILE.yaml [folder=DIR] [out=DIR] [KEY=VALUE]"
-
 
 def orbit(arguments: list[str]) -> None:
     """Determine the orbit described on the command line; raises the same errors as `jobs.determining`."""
@@ -24,7 +22,7 @@ def orbit(arguments: list[str]) -> None:
         from ahnn.cli.orbit_file import read_orbit
         from ahnn.jobs import determining
 
-    determining.determine(read_orbit(arguments, USAGE))
+    determining.determine(read_orbit(arguments))
 
 
 def main() -> None:

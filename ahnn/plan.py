@@ -27,11 +27,6 @@ import logging
 from ahnn.cli.guard import run_command
 from ahnn.cli.importing import importing
 
-USAGE = (
-    "usage: python -m ahnn.plan run=DIR | pretrained=NAME start=FILE|[numbers] start_sd=[..] duration=1d "
-    "every=1min choose=4 stations=FILE | position_sd=NUMBER [at=3d] [session=30min] [output=FILE.csv]"
-)
-
 
 def plan(arguments: list[str]) -> None:
     """Plan as requested on the command line; raises the same errors as `jobs.planning`."""
@@ -39,7 +34,7 @@ def plan(arguments: list[str]) -> None:
         from ahnn.cli.pairs import read_pairs
         from ahnn.jobs import planning
 
-    planning.plan(read_pairs(arguments, planning.PlanRequest, USAGE))
+    planning.plan(read_pairs(arguments, planning.PlanRequest))
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Predict with learned dynamics: `python -m ahnn.predict run=DIR start=FILE duration=1d output=orbit.csv`.
+"""Predict with learned dynamics: `python -m ahnn.predict run=DIR | pretrained=NAME start=FILE duration=1d`.
 
 run=DIR             a run folder, or [A,B,C]: the mean of several runs, with their spread
 pretrained=NAME     a model shipped with the package
@@ -27,10 +27,6 @@ import logging
 from ahnn.cli.guard import run_command
 from ahnn.cli.importing import importing
 
-USAGE = (
-    "usage: python -m ahnn.predict run=DIR | pretrained=NAME start=FILE|[numbers] duration=1d [output=FILE]"
-)
-
 
 def predict(arguments: list[str]) -> None:
     """Predict as requested on the command line; raises the same errors as `jobs.predicting`."""
@@ -38,7 +34,7 @@ def predict(arguments: list[str]) -> None:
         from ahnn.cli.pairs import read_pairs
         from ahnn.jobs import predicting
 
-    predicting.predict(read_pairs(arguments, predicting.PredictionRequest, USAGE))
+    predicting.predict(read_pairs(arguments, predicting.PredictionRequest))
 
 
 def main() -> None:

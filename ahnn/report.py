@@ -1,4 +1,4 @@
-"""Report on runs in one HTML file: `python -m ahnn.report DIR...`, or `run=DIR` for a single run.
+"""Report on runs in one HTML file: `python -m ahnn.report DIR... | run=DIR [output=FOLDER]`.
 
 DIR                 a run folder, or a folder containing runs at any depth; several form one report
 run=DIR             a single run: scores, consistency, figures, settings
@@ -14,15 +14,13 @@ from __future__ import annotations
 from ahnn.cli.guard import run_command
 from ahnn.cli.importing import importing
 
-USAGE = "usage: python -m ahnn.report DIR... | run=DIR [output=FOLDER]"
-
 
 def report(arguments: list[str]) -> None:
     """Write the report requested on the command line; raises the same errors as `cli.reporting`."""
     with importing():
         from ahnn.cli import reporting
 
-    reporting.report(arguments, USAGE)
+    reporting.report(arguments)
 
 
 def main() -> None:

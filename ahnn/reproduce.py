@@ -20,12 +20,10 @@ import logging
 from ahnn.cli import reproducing
 from ahnn.cli.guard import run_command
 
-USAGE = "usage: python -m ahnn.reproduce system=. budget=. [run=DIR] [GROUP=OPTION] [KEY=VALUE]"
-
 
 def reproduce(arguments: list[str]) -> None:
     """Reproduce the table named on the command line; raises the same errors as `cli.reproducing`."""
-    reproducing.reproduce(arguments, USAGE)
+    reproducing.reproduce(arguments)
 
 
 def main() -> None:

@@ -191,12 +191,12 @@ def test_a_documented_command_names_what_there_is(command, tmp_path, monkeypatch
             (tmp_path / words[words.index("--config-dir") + 1]).mkdir(parents=True)
         commandline.check(commandline.read(with_recorded(words[3:])), "train")
     elif words[:3] == ["python", "-m", "ahnn.evaluate"] and words[3:] != ["--help"]:
-        request = Request.of(words[3:], "usage")
+        request = Request.of(words[3:])
         cfg = compose_job(["experiment=molniya_central_body", "plugins=ukf"], tmp_path)
         (tmp_path / "config.yaml").write_bytes(stored(cfg))
         run_config(tmp_path, request)
     elif words[:3] == ["python", "-m", "ahnn.reproduce"] and words[3:] != ["--help"]:
-        assert plan([*words[3:], "seed=7"], "usage").steps  # one seed says as much as three
+        assert plan([*words[3:], "seed=7"]).steps  # one seed says as much as three
 
 
 SHOWN = {

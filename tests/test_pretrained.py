@@ -100,5 +100,5 @@ def test_weights_of_another_format_are_one_message(copy):
 
 @pytest.mark.parametrize("name", names())
 def test_a_trained_model_has_all_that_an_evaluation_builds_from(name):
-    request = Request.of([f"pretrained={name}", "plugins=none"], "")
+    request = Request.of([f"pretrained={name}", "plugins=none"])
     assert run_config(HERE / name, request).measurement.model == "position"

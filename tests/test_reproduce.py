@@ -140,7 +140,7 @@ def test_a_run_of_another_process_is_left_to_it(copied, capsys):
 
 
 def test_all_models_take_equal_steps_on_all_windows_that_the_longest_has():
-    made = plan(["system=molniya", "budget=paper", "seed=7", "experiment=paper_hnn,paper_ahnn5"], "usage")
+    made = plan(["system=molniya", "budget=paper", "seed=7", "experiment=paper_hnn,paper_ahnn5"])
     assert made.steps == 250 * -(-2000 * (1440 - 5 + 1) // 256)
     assert {cfg.data.windows_per_epoch for cfg in made.runs.values()} == {2000 * 1436}
     assert {cfg.model.network.width for cfg in made.runs.values()} == {256}
@@ -148,7 +148,7 @@ def test_all_models_take_equal_steps_on_all_windows_that_the_longest_has():
 
 @pytest.mark.slow
 def test_the_rows_are_those_of_the_paper():
-    made = plan(["system=mass_spring", "budget=paper", "seed=7"], "usage")
+    made = plan(["system=mass_spring", "budget=paper", "seed=7"])
     labels = ["MLP", "NODE", "HNN", "AHNN3", "AHNN5"]
     assert [*made.runs] == [f"{label}_7" for label in labels]
     first = [*made.runs.values()]
@@ -161,7 +161,7 @@ def test_the_rows_are_those_of_the_paper():
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        ([], "system: expected one of mass_spring, molniya; received nothing. usage"),
+        ([], "system: expected one of mass_spring, molniya; received nothing"),
         (["system=kepler"], "system: expected one of mass_spring, molniya; received kepler"),
         (["system=molniya", "budget=tiny"], "budget: expected one of smoke, laptop, paper; received tiny"),
         (["system=molniya", "ckpt=last"], "ckpt: expected none"),
@@ -175,7 +175,7 @@ def test_the_rows_are_those_of_the_paper():
 )
 def test_a_command_that_makes_no_reproduction_is_refused(overrides, message):
     with pytest.raises(UserError) as error:
-        plan(overrides, "usage")
+        plan(overrides)
     assert message in str(error.value)
 
 

@@ -16,7 +16,7 @@ from ahnn.arguments import Count
 from ahnn.cli.early_stops import ended
 from ahnn.cli.numbered_draws import SCORE, appearing, finished, run_missing, score
 from ahnn.cli.pairs import divided, read_pairs
-from ahnn.errors import Occupied, TrainingError, UserError
+from ahnn.errors import Occupied, TrainingError, UserError, WrongUsage
 from ahnn.evaluation.terminal import show
 from ahnn.files import require_writable, write_atomically
 from ahnn.fitting import fit
@@ -45,7 +45,7 @@ class DrawnTraining(NamedTuple):
     folder: Path
 
 
-def benchmark(arguments: list[str], usage: str) -> None:
+def benchmark(arguments: list[str]) -> None:
     """Carry out and score unfinished training runs, and show the table.
 
     Raises:
@@ -53,8 +53,8 @@ def benchmark(arguments: list[str], usage: str) -> None:
         TrainingError: some training runs failed; all other runs are in the table.
     """
     names, pairs = divided(arguments)
-    asked = read_pairs(pairs or ["jobs=1"], BenchmarkRequest, usage)
-    chosen = tasks_of([str(name) for name in names], usage)
+    asked = read_pairs(pairs or ["jobs=1"], BenchmarkRequest)
+    chosen = tasks_of([str(name) for name in names])
     plan = [*trainings(chosen, asked)]
     if asked.only is not None:
         for training in plan:
@@ -71,14 +71,14 @@ def benchmark(arguments: list[str], usage: str) -> None:
         raise TrainingError(message)
 
 
-def tasks_of(names: list[str], usage: str) -> dict[str, FieldTask]:
+def tasks_of(names: list[str]) -> dict[str, FieldTask]:
     """Return tasks by name; raises UserError for no or unknown names."""
     if unknown := [name for name in names if name not in (*TASKS, "all")]:
         message = f"benchmark: expected one or more of {', '.join(TASKS)}, or all; received {unknown[0]}"
         raise UserError(message)
     if not names:
-        message = f"{usage}; received no name"
-        raise UserError(message)
+        message = "received no name"
+        raise WrongUsage(message)
     return {name: task for name, task in TASKS.items() if name in names or "all" in names}
 
 

@@ -71,7 +71,7 @@ def calibrate(arguments: list[str]) -> None:
                 f"{key}: expected no value, since each draw has its own; received one. Use draws= and output="
             )
             raise UserError(message)
-    asked = read_pairs(own or ["jobs=1"], CalibrationRequest, "")
+    asked = read_pairs(own or ["jobs=1"], CalibrationRequest)
     numbers = asked.only or range(1, asked.draws + 1)
     plan = [CalibrationDraw(number, Path(asked.output, f"draw_{number}")) for number in numbers]
     if asked.only is not None:

@@ -9,13 +9,13 @@ from ahnn.arguments import check_values, nearest
 from ahnn.cli.commandline import pair
 from ahnn.cli.pairs import divided
 from ahnn.data.files import Files
-from ahnn.errors import UserError
+from ahnn.errors import UserError, WrongUsage
 
 KEYS = ("mass", "gap", "frame", "step", "duration")
 """Options of `system=files`."""
 
 
-def read_check(arguments: list[str], usage: str) -> tuple[list[Path], Path | None, dict[str, Any]]:
+def read_check(arguments: list[str]) -> tuple[list[Path], Path | None, dict[str, Any]]:
     """Parse the files, the folder for figures and the options of a command line; raises UserError."""
     paths, pairs = divided(arguments[1:], (*KEYS, "figures"))
     named = [text.partition("=")[0] for text in pairs]
@@ -23,8 +23,8 @@ def read_check(arguments: list[str], usage: str) -> tuple[list[Path], Path | Non
         message = f"check: unknown key {unknown[0]!r}{nearest(unknown[0], (*KEYS, 'figures'))}"
         raise UserError(message)
     if arguments[:1] != ["check"] or not paths:
-        message = f"{usage}; received: {' '.join(arguments) or 'nothing'}"
-        raise UserError(message)
+        message = f"received: {' '.join(arguments) or 'nothing'}"
+        raise WrongUsage(message)
     options = dict(map(pair, pairs))
     figures = options.pop("figures", None)
     check_values("", Files, options)

@@ -12,13 +12,13 @@ from ahnn.jobs.evaluating import Reevaluation
 from ahnn.loading import load
 
 
-def read_evaluation(arguments: list[str], usage: str) -> Reevaluation:
+def read_evaluation(arguments: list[str]) -> Reevaluation:
     """Build the evaluation requested on the command line.
 
     Raises:
         UserError: a missing run, or an override without effect on a finished one.
     """
-    request = Request.of(arguments, usage)
+    request = Request.of(arguments)
     run = load(request.source, request.ckpt)
     cfg = run_config(run.folder, request)
     torch.set_num_threads(cfg.threads)

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, NoReturn
 
 from ahnn.cli.early_stops import arrived, code_of, listen
-from ahnn.errors import Stopped, TrainingError, UserError
+from ahnn.errors import Stopped, TrainingError, UserError, WrongUsage
 from ahnn.memory import keep_freed
 
 OURS = (UserError, TrainingError)
@@ -35,15 +35,26 @@ def run_command(
 
     Args:
         task: function of the command line arguments.
-        about: text of `--help`.
+        about: text of `--help`, with the command in backquotes in its first line.
         level: level of the messages shown.
     """
     arguments = sys.argv[1:]
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
     if level != logging.WARNING:
         logging.getLogger("ahnn").setLevel(level)
-    asks = bool({"-h", "--help"} & {*arguments})
-    leave(guard(lambda: sys.stdout.write(f"{about}\n") if asks else task(arguments)))
+
+    def entry() -> None:
+        if {"-h", "--help"} & {*arguments}:
+            sys.stdout.write(f"{about}\n")
+            return
+        try:
+            task(arguments)
+        except WrongUsage as error:
+            usage = (about or "``").split("`")[1]
+            message = f"usage: {usage}; {error}; --help lists the keys"
+            raise UserError(message) from error
+
+    leave(guard(entry))
 
 
 def guard(entry: Callable[[], Any]) -> int:

@@ -8,7 +8,7 @@ from typing import Any
 from ahnn.cli.commandline import pair
 from ahnn.cli.pairs import divided
 from ahnn.contents import read_plain
-from ahnn.errors import UserError
+from ahnn.errors import UserError, WrongUsage
 from ahnn.jobs.determining import OrbitRequest
 from ahnn.tracking.orbit_setup import setup_of
 
@@ -16,7 +16,7 @@ OWN = ("folder", "out")
 """Keys of the command in addition to the keys of the file."""
 
 
-def read_orbit(arguments: list[str], usage: str) -> OrbitRequest:
+def read_orbit(arguments: list[str]) -> OrbitRequest:
     """Build the request of a command line.
 
     Raises:
@@ -24,8 +24,8 @@ def read_orbit(arguments: list[str], usage: str) -> OrbitRequest:
     """
     paths, texts = divided(arguments, OWN)
     if len(paths) != 1:
-        message = f"{usage}; received: {' '.join(arguments) or 'nothing'}"
-        raise UserError(message)
+        message = f"received: {' '.join(arguments) or 'nothing'}"
+        raise WrongUsage(message)
     values, own = read_plain(paths[0], "the settings of an orbit determination"), dict[str, Any]()
     for key, value in map(pair, texts):
         if key in OWN:

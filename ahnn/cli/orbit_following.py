@@ -35,7 +35,7 @@ FOREIGN = (
 DEFAULT = "plugins=ukf"
 
 
-def read_following(arguments: list[str], usage: str) -> Stream:
+def read_following(arguments: list[str]) -> Stream:
     """Return the stream requested by a command line.
 
     Raises:
@@ -58,7 +58,7 @@ def read_following(arguments: list[str], usage: str) -> Stream:
         message = f"{foreign[0]}: expected none with orbit=, which sets it; received {options[foreign[0]]}"
         raise UserError(message)
     folder = [] if options["folder"] is None else [f"folder={options['folder']}"]
-    orbit = read_orbit([options["orbit"], *folder, *of_orbit], usage)
+    orbit = read_orbit([options["orbit"], *folder, *of_orbit])
     other = options["measurements"]
     options["measurements"] = other or str(orbit.folder / orbit.setup.measurements)
     check_arguments("", AssimilationRequest, options)

@@ -9,25 +9,25 @@ from typing import Any, TypeVar
 
 from ahnn.arguments import check_arguments, nearest
 from ahnn.cli.commandline import pair
-from ahnn.errors import UserError
+from ahnn.errors import UserError, WrongUsage
 
 T = TypeVar("T")
 
 
-def read_pairs(arguments: list[str], schema: type[T], usage: str) -> T:
+def read_pairs(arguments: list[str], schema: type[T]) -> T:
     """Parse a command line.
 
     Args:
         arguments: KEY=VALUE, lists in brackets.
         schema: dataclass of the keys.
-        usage: message for an empty command line.
 
     Raises:
+        WrongUsage: an empty command line.
         UserError: invalid syntax, an unknown or missing key, or a value of the wrong type.
     """
     if not arguments:
-        message = f"{usage}; received nothing"
-        raise UserError(message)
+        message = "received nothing"
+        raise WrongUsage(message)
     values = dict(map(pair, arguments))
     require_known(values, signature(schema).parameters)
     check_arguments("", schema, values)

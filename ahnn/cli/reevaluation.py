@@ -17,7 +17,7 @@ from ahnn.cli.settings import check_again
 from ahnn.cli.trust import require_trusted, targets
 from ahnn.cli.unreferenced_keys import require_referenced
 from ahnn.contents import read_plain
-from ahnn.errors import UserError
+from ahnn.errors import UserError, WrongUsage
 from ahnn.paths import cache_dir
 from ahnn.pretrained import shipped
 from ahnn.stored import SAVED
@@ -64,7 +64,7 @@ class Request(NamedTuple):
     trust: bool
 
     @classmethod
-    def of(cls, arguments: list[str], usage: str) -> Request:
+    def of(cls, arguments: list[str]) -> Request:
         """Parse the request of a command line.
 
         Raises:
@@ -74,10 +74,10 @@ class Request(NamedTuple):
         if not any(text.startswith(("run=", "pretrained=")) for text in given) or not all(
             "=" in text for text in given
         ):
-            message = f"{usage}; received: {' '.join(arguments) or 'nothing'}"
-            raise UserError(message)
+            message = f"received: {' '.join(arguments) or 'nothing'}"
+            raise WrongUsage(message)
         mine = [text for text in given if text.partition("=")[0] in OWN]
-        own = read_pairs(mine, Own, usage)
+        own = read_pairs(mine, Own)
         name = own.pretrained
         folder = Path(f"runs/pretrained_{name}" if own.run is None else own.run)
         if name is not None and (folder / "config.yaml").exists():

@@ -7,13 +7,13 @@ from pathlib import Path
 from ahnn.cli.build import build
 from ahnn.cli.compose import composed
 from ahnn.cli.pairs import divided
-from ahnn.errors import UserError
+from ahnn.errors import UserError, WrongUsage
 from ahnn.evaluation.results import FILE
 from ahnn.evaluation.terminal import show
 from ahnn.manifest import require_plain
 
 
-def report(arguments: list[str], usage: str) -> None:
+def report(arguments: list[str]) -> None:
     """Write the report of the runs in given folders.
 
     Raises:
@@ -22,8 +22,8 @@ def report(arguments: list[str], usage: str) -> None:
     given, pairs = divided(arguments)
     cfg = composed("report", pairs)
     if (cfg.run is None) == (not given):
-        message = f"{usage}; received {'both' if given else 'neither'}"
-        raise UserError(message)
+        message = f"received {'both' if given else 'neither'}"
+        raise WrongUsage(message)
     if cfg.run is not None and not (Path(str(cfg.run)) / FILE).is_file():
         message = (
             f"run={cfg.run}: expected one evaluated run; received no {FILE} there. Leave out run= for "

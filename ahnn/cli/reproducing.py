@@ -22,14 +22,14 @@ from ahnn.files import claimed
 log = logging.getLogger("ahnn")
 
 
-def reproduce(arguments: list[str], usage: str) -> None:
+def reproduce(arguments: list[str]) -> None:
     """Train and evaluate unfinished runs, and show the complete table.
 
     Raises:
         UserError: an invalid command, or a folder with another reproduction.
     """
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises, so that we show the message
-    made = plan(arguments, usage)
+    made = plan(arguments)
     require_same_settings(made)
     with importing():
         from ahnn.evaluation.seed_summary import summary

@@ -12,7 +12,7 @@ from ahnn.arguments import flatten
 from ahnn.cli.commandline import pair, parse
 from ahnn.cli.compose import compose_sweep
 from ahnn.contents import read_plain
-from ahnn.errors import UserError
+from ahnn.errors import UserError, WrongUsage
 
 SYSTEMS = ("mass_spring", "molniya")
 BUDGETS = ("smoke", "laptop", "paper")
@@ -54,7 +54,7 @@ class Plan(NamedTuple):
         )
 
 
-def plan(arguments: list[str], usage: str) -> Plan:
+def plan(arguments: list[str]) -> Plan:
     """Build the plan of a command line.
 
     Raises:
@@ -70,8 +70,8 @@ def plan(arguments: list[str], usage: str) -> Plan:
     values = dict(pair(given[key]) for key in ("system", "budget", "run") if key in given)
     for key, known in (("system", SYSTEMS), ("budget", BUDGETS)):
         if (value := values.get(key, "nothing")) not in known:
-            message = f"{key}: expected one of {', '.join(known)}; received {value}. {usage}"
-            raise UserError(message)
+            message = f"{key}: expected one of {', '.join(known)}; received {value}"
+            raise WrongUsage(message)
     folder = Path(str(values.get("run", f"runs/reproduce/{values['system']}_{values['budget']}")))
     own = [f"sweep=reproduce_{values['budget']}", f"run='{folder}'"]
     overrides = [*(text for key, text in given.items() if key not in ("budget", "run")), *own]

@@ -21,17 +21,15 @@ class ShardCommand(NamedTuple):
     """Arguments of `ahnn.assimilate` for the objects of one worker, and the level of its messages."""
 
     arguments: list[str]
-    usage: str
     level: int
 
 
-def assimilate_sharded(stream: Stream, arguments: list[str], usage: str) -> None:
+def assimilate_sharded(stream: Stream, arguments: list[str]) -> None:
     """Assimilate a stream of many objects by several workers, into one output.
 
     Args:
         stream: the stream, of all objects.
         arguments: the command line from which it was built.
-        usage: message for an invalid command line.
 
     Raises:
         UserError: a stream that cannot be divided, or a worker's error.
@@ -57,7 +55,7 @@ def assimilate_sharded(stream: Stream, arguments: list[str], usage: str) -> None
             }
             given = [f"{key}={_quoted(value)}" for key, value in own.items()]
             more = [*arguments, *given, "workers=null", "states=null"]
-            commands.append(ShardCommand(more, usage, log.getEffectiveLevel()))
+            commands.append(ShardCommand(more, log.getEffectiveLevel()))
         found = workers.map(follow_shard, commands)
         joining_shards.join(stream, catalogue, shards, found)
 
@@ -66,7 +64,7 @@ def follow_shard(command: ShardCommand) -> CatalogueOutcome:
     """Follow the objects of one worker in its process; messages appear on its standard error."""
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     log.setLevel(logging.ERROR)  # the parent reports everything else
-    stream = read_stream(command.arguments, command.usage)
+    stream = read_stream(command.arguments)
     log.setLevel(command.level)
     assert isinstance(stream.filtering, Catalogue)
     return follow_objects(stream, stream.filtering, judged=False)

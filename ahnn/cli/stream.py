@@ -55,15 +55,15 @@ FILTER, OF_MEASUREMENTS = "plugins=ukf", "plugins=ukf_parameter_error"
 """Default filters of a run without a plugin; the second if it saved its least observable parameters."""
 
 
-def read_stream(arguments: list[str], usage: str) -> Stream:
+def read_stream(arguments: list[str]) -> Stream:
     """Build the stream requested on the command line.
 
     Raises:
         UserError: a missing run, occupied output paths, or incompatible options.
     """
     if any(text.startswith("orbit=") for text in arguments):
-        return read_following(arguments, usage)
-    options, nodes, request = asked(arguments, usage)
+        return read_following(arguments)
+    options, nodes, request = asked(arguments)
     require_own_keys(options, nodes)
     run = load(request.source, request.ckpt)
     if remark := judged_training(run.folder):
@@ -93,7 +93,7 @@ def require_own_keys(options: AssimilationRequest, nodes: DictConfig) -> None:
         raise UserError(message)
 
 
-def asked(arguments: list[str], usage: str) -> tuple[AssimilationRequest, DictConfig, Request]:
+def asked(arguments: list[str]) -> tuple[AssimilationRequest, DictConfig, Request]:
     """Return the options of a command line, the nodes of its sensors, and its request for the run.
 
     Raises:
@@ -104,7 +104,7 @@ def asked(arguments: list[str], usage: str) -> tuple[AssimilationRequest, DictCo
     known = {*own, *OWN, *GROUPS, *NODES, *KEYS}
     require_known((_key(text) for text in given if "=" in text), sorted(known))
     mine = [BIAS.sub("++", text, count=1) for text in given if _key(text) in own]
-    request = Request.of([text for text in given if _key(text) not in own], usage)
+    request = Request.of([text for text in given if _key(text) not in own])
     cfg = composed("assimilate", mine)
     options = plain_config(cfg)
     require_input(options, given)

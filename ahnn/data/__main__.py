@@ -1,4 +1,4 @@
-"""Check data before training or orbit determination: `python -m ahnn.data check PATH...`.
+"""Check data before training or orbit determination: `python -m ahnn.data check PATH... [KEY=VALUE...]`.
 
 PATH...        data files for system=files, docs/data.md, or tracking files, docs/tracking.md
 figures=DIR    plot data and findings into a folder as PNG and SVG
@@ -12,8 +12,6 @@ from __future__ import annotations
 from ahnn.cli.guard import run_command
 from ahnn.cli.importing import importing
 
-USAGE = "usage: python -m ahnn.data check PATH... [figures=DIR] [mass=M] [gap=10] [frame=GCRF] [key=value]"
-
 
 def check(arguments: list[str]) -> None:
     """Check the files named on the command line; raises UserError for unknown options and for faults."""
@@ -21,7 +19,7 @@ def check(arguments: list[str]) -> None:
         from ahnn.cli.data_files import read_check
         from ahnn.jobs import checking
 
-    checking.check(*read_check(arguments, USAGE))
+    checking.check(*read_check(arguments))
 
 
 def main() -> None:
