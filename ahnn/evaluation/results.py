@@ -160,6 +160,9 @@ def _row(row: Mapping[str, Any]) -> Row:
 
 def _built(kind: Callable[..., T], fields: Mapping[str, Any]) -> T:
     """Return a named tuple of fields that fit its annotations, with lists as tuples."""
+    if any(isinstance(value, Mapping) and "_target_" in value for value in fields.values()):
+        message = "a key _target_"  # `check_values` accepts such a mapping for any type
+        raise ValueError(message)
     check_values("", kind, fields)
     return kind(**{key: tuple(value) if isinstance(value, list) else value for key, value in fields.items()})
 

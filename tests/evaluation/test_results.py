@@ -111,6 +111,8 @@ def write(folder, change):
         (lambda c: c["rows"][0].update(note=1), "damaged"),
         (lambda c: c["rows"][0].update(components=[True]), "damaged"),
         (lambda c: c.update(plugins=[1]), "damaged"),
+        (lambda c: c.update(model={"_target_": "os.system"}), "damaged file: a key _target_"),
+        (lambda c: c["rows"][0].update(note={"_target_": "os.system"}), "damaged file: a key _target_"),
     ],
 )
 def test_other_files_are_refused(tmp_path, change, reason):
