@@ -30,7 +30,7 @@ from ahnn.cli.parts import build_source
 from ahnn.cli.preflight import quiet
 from ahnn.data import Simulated
 from ahnn.jobs.closing import conclude_on_measurements
-from ahnn.jobs.fitting_members import fit_ensemble
+from ahnn.jobs.fitting import fit
 from ahnn.loading import member_folders
 from ahnn.types import Trajectories
 from ahnn.uncertainty import mixture_crps
@@ -49,7 +49,7 @@ def trained(words: list[str], folder: Path) -> Trajectories:
     if sum((member / FILE).exists() for member in member_folders(folder)) < cfg.members:
         quiet()
         prepared = prepare_members(cfg)
-        fit_ensemble(prepared)
+        fit(prepared)
         for member in prepared.members:
             conclude_on_measurements(member)
     return Simulated(source.truth, trajectories=UNSEEN, seed=SEED, cache=cfg.data.cache).read()

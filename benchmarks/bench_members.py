@@ -17,12 +17,12 @@ from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, cast
 
 from ahnn.cli.compose import compose_job
 from ahnn.cli.ensemble_training import prepare_members
 from ahnn.cli.preflight import quiet
-from ahnn.jobs.fitting_members import calibrate_all
+from ahnn.jobs.fitting import calibrate
 from ahnn.models import AbstractModel, EnsembleModel
 
 
@@ -90,9 +90,9 @@ def main() -> None:
         cfg = compose_job(words, Path(folder, "run"))
         quiet()
         prepared = prepare_members(cfg)
-    calibrate_all(prepared)
-    model, first = prepared.model, prepared.model.models[0]
-    grouped, data = prepared.members[0].data.train_dataloader(), prepared.members[0].data
+    calibrate(prepared)
+    model, data = cast(EnsembleModel, prepared.model), prepared.data
+    first, grouped = model.models[0], data.train_dataloader()
     data.group(data.orders[:1])
     alone = data.train_dataloader()
     parameters = sum(p.numel() for p in first.dynamics.parameters())

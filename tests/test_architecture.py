@@ -193,7 +193,7 @@ def test_nothing_is_attached_to_a_model_by_another_module():
 
 
 LIGHTNING = {"training/callbacks", "training/checkpoint_io.py", "training/restore.py", "jobs/prepared.py"}
-LIGHTNING |= {"jobs/closing.py", "jobs/fitting_members.py", "models", "data/datamodule.py"}
+LIGHTNING |= {"jobs/closing.py", "models", "data/datamodule.py"}
 
 
 def test_lightning_stays_where_training_is():

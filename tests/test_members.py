@@ -44,7 +44,6 @@ CASES = {
 def no_evaluation(request, monkeypatch):
     if "evaluated" not in request.fixturenames:
         monkeypatch.setattr("ahnn.jobs.closing.judge", lambda *_, **__: 0.0)
-        monkeypatch.setattr("ahnn.jobs.fitting_members.judge", lambda *_, **__: 0.0)
 
 
 def trained(folder, words, **changes):

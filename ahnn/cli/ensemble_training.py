@@ -17,7 +17,6 @@ from ahnn.errors import UserError
 from ahnn.files import claimed, require_writable
 
 if TYPE_CHECKING:
-    from ahnn.jobs.fitting_members import PreparedEnsemble
     from ahnn.jobs.prepared import Prepared
     from ahnn.training.callbacks import MemberPoints
 
@@ -28,28 +27,26 @@ def train_members(cfg: DictConfig) -> float:
         prepared = prepare_members(cfg)
     for folder in (prepared.folder, *(member.folder for member in prepared.members)):
         require_new(folder, cfg.ckpt)
-    prepared.members[0].data.train_dataloader()  # last check: files are written from here on
+    prepared.data.train_dataloader()  # last check: files are written from here on
     require_writable(prepared.folder)
-    from ahnn.jobs.closing import require_converged
-    from ahnn.jobs.fitting_members import fit_ensemble, judge_members
+    from ahnn.jobs.closing import judge_members, require_converged
+    from ahnn.jobs.fitting import fit
 
     again = f"resume with the same command and run={cfg.folder} ckpt=last"
     with claimed(prepared.folder), interruptible(prepared.trainer, lambda: again):
-        seconds = fit_ensemble(prepared)
-        loss = judge_members(prepared, seconds)
+        loss = judge_members(prepared, fit(prepared))
     if not is_multirun():
         require_converged([member.folder for member in prepared.members])
     return loss
 
 
-def prepare_members(cfg: DictConfig) -> PreparedEnsemble:
-    """Build the training runs of all members and the trainer that they share.
+def prepare_members(cfg: DictConfig) -> Prepared:
+    """Build the training runs of all members, and their joint training run.
 
     Raises:
         UserError: incompatible parts, or settings that couple the members.
     """
     from ahnn.cli.prepare import build_trainer, checkpoint_of, parts_of, prepare
-    from ahnn.jobs.fitting_members import PreparedEnsemble
     from ahnn.models import EnsembleModel
     from ahnn.training.restore import require_resumable
 
@@ -70,14 +67,8 @@ def prepare_members(cfg: DictConfig) -> PreparedEnsemble:
     model.check(trainer)
     if (checkpoint := checkpoint_of(cfg)) is not None:
         require_resumable(checkpoint, model, trainer)
-    return PreparedEnsemble(
-        folder=folder,
-        config=stored(cfg),
-        members=members,
-        model=model,
-        trainer=trainer,
-        checkpoint=checkpoint,
-    )
+    joint = {"folder": folder, "config": stored(cfg), "checkpoint": checkpoint, "members": members}
+    return replace(members[0], **joint, model=model, trainer=trainer, recorded=False)
 
 
 def points_of(cfg: DictConfig, members: Sequence[Prepared]) -> MemberPoints:

@@ -110,6 +110,18 @@ def judge(prepared: Prepared, seconds: float, steps: int | None = None) -> float
     return loss
 
 
+def judge_members(prepared: Prepared, seconds: float) -> float:
+    """Evaluate the best weights of each member, and return the mean of the validation losses.
+
+    Args:
+        prepared: prepared ensemble.
+        seconds: duration of the steps of all members.
+    """
+    each, steps = seconds / len(prepared.members), prepared.trainer.global_step
+    losses = [judge(member, each, steps) for member in prepared.members]
+    return sum(losses) / len(losses)
+
+
 def case_of(prepared: Prepared, run: Run) -> Case:
     """Return the evaluation case of a training run."""
     plan = prepared.assessment

@@ -30,7 +30,8 @@ def fit(prepared: Prepared) -> float:
     if trainer.is_global_zero:
         announce(prepared)
         # Keys without any effect have already been rejected.
-        write_atomically(prepared.folder / "config.yaml", prepared.config)
+        for run in (prepared, *prepared.members):
+            write_atomically(run.folder / "config.yaml", run.config)
     return timed_fit(trainer, prepared.model, prepared.data, ckpt_path=prepared.checkpoint)
 
 
@@ -66,6 +67,8 @@ def announce(prepared: Prepared) -> None:
     data, model, trainer = prepared.data, prepared.model, prepared.trainer
     if remark := data.remark():
         log.warning(remark)
+    if prepared.members:
+        return announce_members(prepared)
     done = 0 if prepared.checkpoint is None else read_checkpoint(prepared.checkpoint)["global_step"]
     per_epoch = -(-len(data.train_dataloader()) // trainer.accumulate_grad_batches)
     epochs = range(done // per_epoch, int(trainer.max_epochs or 1))
@@ -82,4 +85,18 @@ def announce(prepared: Prepared) -> None:
         len(epochs),
         f" and at most {last} closing steps on all data" if (last := model.curriculum.closing) else "",
         about(seconds),
+    )
+
+
+def announce_members(prepared: Prepared) -> None:
+    """Log the number of members and steps."""
+    data, epochs = prepared.data, int(prepared.trainer.max_epochs or 1)
+    log.info(
+        "training %d members of %s on %s together: %s steps of %d windows each in %d epochs",
+        len(prepared.members),
+        prepared.label,
+        data.source.space.name,
+        f"{len(data.train_dataloader()) * epochs:,}",
+        data.batch_size,
+        epochs,
     )

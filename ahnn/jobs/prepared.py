@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -43,13 +43,15 @@ class Prepared:
         folder: run folder.
         config: content of the folder's config.yaml.
         data: source, splits, sensor, and batch sampling.
-        model: dynamics, objectives, optimiser and scheduler, and checkpoint metadata.
+        model: dynamics, objectives, optimiser and scheduler, and checkpoint metadata; an `EnsembleModel` for
+            members.
         trainer: epochs, devices, callbacks, loggers.
         checkpoint: checkpoint to resume from; None for a new run.
         weights: run or shipped model that provides initial weights.
         recorded: whether optimiser steps on a GPU may be recorded as CUDA graphs.
         robust: robust loss of measurement residuals.
         assessment: evaluation options of the trained model.
+        members: runs that are trained together as this one, and evaluated each by itself; none for one model.
     """
 
     label: str
@@ -64,3 +66,4 @@ class Prepared:
     recorded: bool
     robust: RobustName
     assessment: Assessment
+    members: Sequence[Prepared] = ()

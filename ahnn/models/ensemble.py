@@ -11,9 +11,10 @@ from lightning import LightningModule, Trainer
 from torch import Tensor, nn
 
 from ahnn.cores import each
-from ahnn.dynamics import StackedDynamics
+from ahnn.dynamics import Dynamics, StackedDynamics
 from ahnn.errors import UserError
 from ahnn.models.module import LOOKS, AbstractModel
+from ahnn.statistics import Statistics
 from ahnn.training import Derivative, Objective, Recursive
 from ahnn.training.finite import require_finite_loss, require_finite_weights
 from ahnn.training.member_damping import StepTaken, member_damped_steps, together_in_steps
@@ -51,10 +52,25 @@ class EnsembleModel(LightningModule):
         return cast("list[AbstractModel]", [*self.members])
 
     @property
+    def dynamics(self) -> Dynamics:
+        """Dynamics of the first member."""
+        return self.models[0].dynamics
+
+    @property
     def about(self) -> dict[str, Any]:
         """Checkpoint metadata: that of the first member, and the number of members."""
         first = self.models[0].about
         return {**first, "settings": {**first.get("settings", {}), "members": len(self.members)}}
+
+    def calibrate(self, statistics: Statistics) -> None:
+        """Fit scalings, units and the unit of the loss of all members to the training split."""
+        for model in self.models:
+            model.calibrate(statistics)
+
+    def learns_from(self, **about: Any) -> None:
+        """Add metadata about the data to the checkpoints of all members, once available."""
+        for model in self.models:
+            model.learns_from(**about)
 
     def check(self, trainer: Trainer) -> None:
         """Raise UserError for settings that couple the members, or for several devices."""
