@@ -35,6 +35,18 @@ def test_ctrl_c_says_how_to_go_on_and_a_run_is_not_replaced(tmp_path, capfd):
 
 
 @pytest.mark.usefixtures("no_evaluation")
+def test_members_that_are_stopped_before_their_first_checkpoint_begin_again(tmp_path, capfd):
+    run = [*SMALL, "budget=smoke", "recipe=first_order", "members=2", f"run={tmp_path}"]
+    cut = ["+callbacks.cut._target_=entry.CutAfter", "+callbacks.cut.ctrl_c=true"]
+    assert call("ahnn.train", *run, *cut, "+callbacks.cut.steps=5") == 130
+    said = capfd.readouterr().err
+    assert "no checkpoint yet: repeating the command starts from the beginning" in said
+    assert call("ahnn.train", *run, *cut, "+callbacks.cut.steps=15") == 130
+    assert f"resume with the same command and run={tmp_path} ckpt=last\n" in capfd.readouterr().err
+    assert call("ahnn.train", *run, "ckpt=last") == 0
+
+
+@pytest.mark.usefixtures("no_evaluation")
 def test_of_several_seeds_one_that_is_trained_stops_all_before_the_first(tmp_path, capfd):
     run = [*SMALL, "budget=smoke", "recipe=first_order", "trainer.max_epochs=1", f"run={tmp_path}"]
     assert call("ahnn.train", *run, "seeds=[201]") == 0

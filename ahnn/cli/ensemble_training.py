@@ -13,6 +13,7 @@ from ahnn.cli.build import Part, factories, factory, of_seed, stored, without_ne
 from ahnn.cli.early_stops import held, interruptible
 from ahnn.cli.parts import is_multirun
 from ahnn.cli.preflight import require_new
+from ahnn.cli.training import go_on
 from ahnn.errors import UserError
 from ahnn.files import claimed, require_writable
 
@@ -32,8 +33,7 @@ def train_members(cfg: DictConfig) -> float:
     from ahnn.jobs.closing import judge_members, require_converged
     from ahnn.jobs.fitting import fit
 
-    again = f"resume with the same command and run={cfg.folder} ckpt=last"
-    with claimed(prepared.folder), interruptible(prepared.trainer, lambda: again):
+    with claimed(prepared.folder), interruptible(prepared.trainer, lambda: go_on(cfg)):
         loss = judge_members(prepared, fit(prepared))
     if not is_multirun():
         require_converged([member.folder for member in prepared.members])
