@@ -29,7 +29,7 @@ from ahnn.data import Source
 from ahnn.data.datamodule import WindowDataModule
 from ahnn.errors import UserError
 from ahnn.jobs.compatible import check_together
-from ahnn.jobs.prepared import Assessment, Prepared
+from ahnn.jobs.prepared import Prepared
 from ahnn.models import AbstractModel, Optimisation
 from ahnn.stored import about_space
 from ahnn.training.checkpoint_io import AtomicCheckpointIO
@@ -63,8 +63,7 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
     seed_everything(cfg.seed, verbose=False)
     values, made = plain_config(cfg), factories(parts_of(cfg))
     source, folder = source or build_source(cfg), Path(cfg.folder)
-    options, sensor = report_options(cfg), build_sensor(cfg, source)
-    data = made["data"](source=source, window=cfg.window, sensor=sensor)
+    data = made["data"](source=source, window=cfg.window, sensor=build_sensor(cfg, source))
     plugins = build_plugins(cfg, data.splits)
     model = build_model(values, made, data)
     trainer = build_trainer(made, folder)
@@ -82,7 +81,11 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
         weights=cfg.weights,
         recorded=cfg.cuda_graphs,
         robust=cfg.loss.get("robust", "none"),
-        assessment=Assessment(plugins, cfg.evaluation.seed, options, searched(values), caveat),
+        plugins=plugins,
+        evaluation_seed=cfg.evaluation.seed,
+        report=report_options(cfg),
+        searched=searched(values),
+        caveat=caveat,
     )
     check_together(prepared)
     require_read(cfg, prepared, asked)

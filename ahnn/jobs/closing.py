@@ -89,7 +89,7 @@ def judge(prepared: Prepared, seconds: float, steps: int | None = None) -> float
         seconds: duration of the training steps.
         steps: number of training steps; None for that of the trainer.
     """
-    folder, data, trainer, plan = prepared.folder, prepared.data, prepared.trainer, prepared.assessment
+    folder, data, trainer = prepared.folder, prepared.data, prepared.trainer
     if data.stages is not None:
         seconds += conclude_on_measurements(prepared)
     run = load(folder)
@@ -103,8 +103,9 @@ def judge(prepared: Prepared, seconds: float, steps: int | None = None) -> float
         "parameters": sum(p.numel() for p in prepared.model.parameters()),
         "val_loss": loss,
     }
-    boards = [logger for logger in trainer.loggers if isinstance(logger, TensorBoardLogger)]
-    report(case, plan.plugins, training, boards=[(board, plan.searched) for board in boards], **plan.report)
+    loggers = [logger for logger in trainer.loggers if isinstance(logger, TensorBoardLogger)]
+    boards = [(logger, prepared.searched) for logger in loggers]
+    report(case, prepared.plugins, training, boards=boards, **prepared.report)
     if boards:
         log.info("TensorBoard: tensorboard --logdir %s", folder)
     return loss
@@ -124,10 +125,9 @@ def judge_members(prepared: Prepared, seconds: float) -> float:
 
 def case_of(prepared: Prepared, run: Run) -> Case:
     """Return the evaluation case of a training run."""
-    plan = prepared.assessment
-    named = {"label": prepared.label, "seed": plan.seed, "folder": prepared.folder, "domain": run.domain}
-    learned: dict[str, Any] = {"uncertainty": run.uncertainty, "robust": prepared.robust}
-    learned |= {"about": run.about, "caveat": plan.caveat}
+    named = {"label": prepared.label, "seed": prepared.evaluation_seed, "folder": prepared.folder}
+    learned: dict[str, Any] = {"uncertainty": run.uncertainty, "domain": run.domain, "about": run.about}
+    learned |= {"robust": prepared.robust, "caveat": prepared.caveat}
     return make_case(run.dynamics, prepared.data.splits, **learned, **named)
 
 

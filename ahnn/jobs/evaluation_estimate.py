@@ -32,9 +32,9 @@ def evaluation_seconds(prepared: Prepared, shooting: ShootingCost | None = None)
     A plugin's method `rollouts` returns its cost for a given number of samples, in rollouts over them.
     `shooting` is the measured cost of shooting, for a training on measurements.
     """
-    data, plan = prepared.data, prepared.assessment
-    test, dynamics = data.splits["test"], prepared.model.dynamics.frozen().cpu()
-    seconds = FIGURES * sum_seconds() if plan.report.get("figures", True) else 0.0
+    data, dynamics = prepared.data, prepared.model.dynamics.frozen().cpu()
+    test, plugins = data.splits["test"], prepared.plugins.values()
+    seconds = FIGURES * sum_seconds() if prepared.report.get("figures", True) else 0.0
     count, samples = test.states.shape[:2]
     flows: list[tuple[Flow, int]] = [(dynamics, 2 * count)]
     truth = None if data.source.truth is None else exact_flow(data.source.truth)
@@ -42,8 +42,8 @@ def evaluation_seconds(prepared: Prepared, shooting: ShootingCost | None = None)
         flows.append((truth, count))
     states, dt = data.examples(), float(data.statistics().dt)
     each = sum(_step_seconds(flow, states, rows, dt) for flow, rows in flows)
-    filters = sum(hasattr(plugin, "estimator") for plugin in plan.plugins.values())
-    costs = (getattr(plugin, "rollouts", None) for plugin in plan.plugins.values())
+    filters = sum(hasattr(plugin, "estimator") for plugin in plugins)
+    costs = (getattr(plugin, "rollouts", None) for plugin in plugins)
     more = sum(cost(samples) for cost in costs if cost is not None)
     seconds += samples * each * (1 + FILTERED * filters + more)
     if shooting is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from lightning import Trainer
 
@@ -13,24 +13,6 @@ from ahnn.data.datamodule import WindowDataModule
 from ahnn.evaluation import EvaluationPlugin
 from ahnn.models import AbstractModel
 from ahnn.shooting.robust import RobustName
-
-
-class Assessment(NamedTuple):
-    """Options of the evaluation after training.
-
-    Attributes:
-        plugins: additional evaluations by name.
-        seed: random seed for perturbed starts.
-        report: options of `ahnn.evaluation.publish`.
-        searched: keys varied by a search, for TensorBoard's comparison of runs.
-        caveat: reason why the training cannot produce a good model; "" without one.
-    """
-
-    plugins: Mapping[str, EvaluationPlugin]
-    seed: int
-    report: Mapping[str, Any]
-    searched: Mapping[str, Any]
-    caveat: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +32,11 @@ class Prepared:
         weights: run or shipped model that provides initial weights.
         recorded: whether optimiser steps on a GPU may be recorded as CUDA graphs.
         robust: robust loss of measurement residuals.
-        assessment: evaluation options of the trained model.
+        plugins: additional evaluations by name.
+        evaluation_seed: random seed for perturbed starts.
+        report: options of `ahnn.evaluation.publish`.
+        searched: keys varied by a search, for TensorBoard's comparison of runs.
+        caveat: reason why the training cannot produce a good model; "" without one.
         members: runs that are trained together as this one, and evaluated each by itself; none for one model.
     """
 
@@ -65,5 +51,9 @@ class Prepared:
     weights: str | None
     recorded: bool
     robust: RobustName
-    assessment: Assessment
+    plugins: Mapping[str, EvaluationPlugin]
+    evaluation_seed: int
+    report: Mapping[str, Any]
+    searched: Mapping[str, Any]
+    caveat: str = ""
     members: Sequence[Prepared] = ()

@@ -50,8 +50,8 @@ def test_rollouts_of_a_flow_of_time_and_of_a_plugin_count(plugins, rollouts, mon
         statistics=lambda: SimpleNamespace(dt=0.5),
         measured=lambda _: SimpleNamespace(times=torch.zeros(4, 50)),
     )
-    report = SimpleNamespace(report={"figures": False}, plugins=plugins)
-    prepared: Any = SimpleNamespace(data=data, assessment=report, model=SimpleNamespace(dynamics=flow))
+    given = {"data": data, "model": SimpleNamespace(dynamics=flow), "report": {"figures": False}}
+    prepared: Any = SimpleNamespace(**given, plugins=plugins)
     monkeypatch.setattr(evaluation_estimate.time, "perf_counter", lambda: flow.now)
     assert evaluation_seconds(prepared) == pytest.approx(200 * 0.01 * rollouts)
     assert set(flow.shapes) == {((8, 4), 0.5)}

@@ -72,7 +72,7 @@ def test_a_longer_smoke_run_is_a_training_and_tensorboard_compares_its_noise_and
     epochs = prepare(compose_job(texts, tmp_path), None, texts).trainer.max_epochs
     longer = [*texts, f"trainer.max_epochs={epochs + 1}", "data.noise=0.01", "recipe=measurements"]
     longer += ["forces=friction", "data.trajectories=21"]
-    found = prepare(compose_job(longer, tmp_path), None, longer).assessment
+    found = prepare(compose_job(longer, tmp_path), None, longer)
     assert found.caveat == ""
     expected = {"data.noise": 0.01, "forces": "friction", "data.trajectories": 21}
     assert found.searched.items() >= expected.items()
@@ -81,7 +81,7 @@ def test_a_longer_smoke_run_is_a_training_and_tensorboard_compares_its_noise_and
 @pytest.mark.parametrize("asked", [["budget=smoke"], []])
 def test_a_smoke_run_says_that_it_only_checks_the_installation(tmp_path, asked):
     texts = ["system=pendulum", *asked]
-    caveat = prepare(compose_job(texts, tmp_path), None, texts).assessment.caveat
+    caveat = prepare(compose_job(texts, tmp_path), None, texts).caveat
     told = evaluate(make_case(tmp_path, caveat=caveat), {}, figures=False).numbers["verdict"]["findings"]
     assert any(line.startswith("budget=smoke only checks") for line in told[1:2]) == bool(asked)
 
