@@ -12,9 +12,9 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import get_object
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from ahnn.cli.build import build, build_all, factories, plain_config
+from ahnn.cli.build import build, build_all, plain_config
 from ahnn.cli.parts import SENSOR, SIMULATION, build_sensor, build_source
-from ahnn.cli.prepare import build_model, parts_of, prepare
+from ahnn.cli.prepare import build_model, factories_of, prepare
 from ahnn.data.splits import split_sizes
 from ahnn.errors import UserError
 from ahnn.integrators import GaussLegendre4
@@ -45,7 +45,7 @@ def job(cfg):
 
 def build_parts(cfg):
     cfg = job(cfg)
-    made, source = factories(parts_of(cfg)), build_source(cfg)
+    made, source = factories_of(cfg), build_source(cfg)
     data = made["data"](source=source, window=cfg.window, sensor=build_sensor(cfg, source))
     return data, build_model(plain_config(cfg), made, data)
 

@@ -14,7 +14,7 @@ from oscillators import segment
 from simulated_device import simulated_device
 from torch.nn.utils import parameters_to_vector
 
-from ahnn.cli.prepare import parts_of
+from ahnn.cli.prepare import factories_of
 from ahnn.data.datamodule import WindowDataModule
 from ahnn.data.sensor import Sensor
 from ahnn.dynamics import HamiltonianDynamics
@@ -195,7 +195,9 @@ def test_measurements_use_the_cpu_unless_a_gpu_is_requested(asked, expected, mon
     monkeypatch.setattr(torch.accelerator, "is_available", lambda: True)
     with initialize_config_dir(str(conf_dir()), version_base="1.3"):
         given = ["experiment=pendulum_angles", f"trainer.accelerator={asked}", "folder=."]
-        assert parts_of(compose("train", given))["trainer"].node.accelerator == expected
+        monkeypatch.setattr("ahnn.cli.prepare.factory", lambda node, *_: node)
+        made: Any = factories_of(compose("train", given))
+        assert made["trainer"].accelerator == expected
 
 
 def test_a_step_of_an_ensemble_on_windows(tmp_path):

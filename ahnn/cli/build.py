@@ -9,7 +9,7 @@ import itertools
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
@@ -20,53 +20,40 @@ from ahnn.arguments import check_arguments
 from ahnn.errors import TrainingError, UserError
 
 
-class Part(NamedTuple):
-    """Configuration node with `_target_`.
+def factory(node: Any, who: str, kind: type = object, given: Collection[str] = ()) -> Callable[..., Any]:
+    """Return the factory of a node with `_target_`, to be called with the given arguments.
 
-    Attributes:
+    Args:
         node: configuration node; a nested node with a `_target_` is built unchecked.
+        who: name of the node.
         kind: required type.
         given: names of further arguments, which may be objects; those that the target accepts are passed.
-    """
-
-    node: Any
-    kind: type = object
-    given: Collection[str] = ()
-
-
-def factories(parts: Mapping[str, Part]) -> dict[str, Callable[..., Any]]:
-    """Return factories of several nodes, to be called with the given arguments.
 
     Raises:
         UserError: an unknown target, or an argument that is unknown, missing or of the wrong type; the
             message begins with the name of the node. Errors of the target itself, and a wrong kind, are
             raised on construction.
     """
-    return {who: factory(who, part) for who, part in parts.items()}
-
-
-def factory(who: str, part: Part) -> Callable[..., Any]:
-    """Return the factory of a node; raises the same errors as `factories`."""
-    arguments = plain_config(part.node) if isinstance(part.node, DictConfig) else {}
+    arguments = plain_config(node) if isinstance(node, DictConfig) else {}
     target = arguments.pop("_target_", None)
     partial = arguments.pop("_partial_", False)
     if target is None:
-        received = f"keys {', '.join(arguments)}" if arguments else repr(part.node)
+        received = f"keys {', '.join(arguments)}" if arguments else repr(node)
         message = f"{who}: expected a node with _target_; received {received}"
         raise UserError(message)
     function, taken = named(who, target)
-    check_arguments(who, function, arguments, part.given, partial=partial)
+    check_arguments(who, function, arguments, given, partial=partial)
 
     def build_it(**offered: Any) -> Any:
         with blaming(who):
-            made = instantiate(part.node, _convert_="all", _partial_=True)
+            made = instantiate(node, _convert_="all", _partial_=True)
         passed = {name: value for name, value in offered.items() if name in taken}
         call = blaming(who, taken.keys() - passed.keys())(functools.partial(made, **passed))
         if partial:
             return call
         thing = call()
-        if not isinstance(thing, part.kind):
-            message = f"{who}: expected {part.kind.__name__}; received {type(thing).__name__}"
+        if not isinstance(thing, kind):
+            message = f"{who}: expected {kind.__name__}; received {type(thing).__name__}"
             raise UserError(message)
         return thing
 
@@ -102,8 +89,8 @@ def without_network(cfg: DictConfig) -> DictConfig:
 
 
 def build(node: Any, who: str, kind: type = object, **offered: Any) -> Any:
-    """Instantiate the `_target_` of a node with checked arguments; raises the same errors as `factories`."""
-    return factory(who, Part(node, kind, offered))(**offered)
+    """Instantiate the `_target_` of a node with checked arguments; raises the same errors as `factory`."""
+    return factory(node, who, kind, offered)(**offered)
 
 
 @contextlib.contextmanager
@@ -133,14 +120,15 @@ def blaming(who: str, own: Collection[str] = ()) -> Iterator[None]:
         raise UserError(message) from error
 
 
-def each(nodes: DictConfig, who: str, kind: type = object) -> dict[str, Part]:
-    """Return the named entries of a group under dotted names; entries set to null are omitted."""
-    return {f"{who}.{name}": Part(node, kind) for name, node in nodes.items() if node is not None}
+def factories(nodes: DictConfig, who: str, kind: type = object) -> dict[str, Callable[..., Any]]:
+    """Return the factories of a group under dotted names; entries set to null are omitted."""
+    named_nodes = {f"{who}.{name}": node for name, node in nodes.items() if node is not None}
+    return {name: factory(node, name, kind) for name, node in named_nodes.items()}
 
 
 def build_all(nodes: DictConfig, who: str, kind: type = object) -> dict[str, Any]:
     """Instantiate every named entry of a group."""
-    made = factories(each(nodes, who, kind))
+    made = factories(nodes, who, kind)
     return {name.removeprefix(f"{who}."): build_it() for name, build_it in made.items()}
 
 

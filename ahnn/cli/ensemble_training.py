@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
-from ahnn.cli.build import Part, factories, factory, of_seed, stored, without_network
+from ahnn.cli.build import factory, of_seed, stored, without_network
 from ahnn.cli.early_stops import held, interruptible
 from ahnn.cli.parts import is_multirun
 from ahnn.cli.preflight import require_new
@@ -46,7 +46,7 @@ def prepare_members(cfg: DictConfig) -> Prepared:
     Raises:
         UserError: incompatible parts, or settings that couple the members.
     """
-    from ahnn.cli.prepare import build_trainer, checkpoint_of, parts_of, prepare
+    from ahnn.cli.prepare import build_trainer, checkpoint_of, factories_of, prepare
     from ahnn.models import EnsembleModel
     from ahnn.training.restore import require_resumable
 
@@ -60,7 +60,7 @@ def prepare_members(cfg: DictConfig) -> Prepared:
     shared = cfg.copy()
     shared.callbacks.best = shared.callbacks.rollout = None
     folder = Path(cfg.folder)
-    trainer = build_trainer(factories(parts_of(shared)), folder)
+    trainer = build_trainer(factories_of(shared), folder)
     trainer.callbacks.append(points_of(cfg, members))  # pyright: ignore[reportAttributeAccessIssue]
     data.feed(trainer)
     model = EnsembleModel([member.model for member in members])
@@ -82,5 +82,5 @@ def points_of(cfg: DictConfig, members: Sequence[Prepared]) -> MemberPoints:
             f"callbacks.{'best' if best is None else 'rollout'}=null"
         )
         raise UserError(message)
-    made = factory("callbacks.rollout", Part(node, ValidationRollout))
+    made = factory(node, "callbacks.rollout", ValidationRollout)
     return MemberPoints([member.folder for member in members], best.monitor, [made() for _ in members])

@@ -13,7 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from ahnn.arguments import flatten
 from ahnn.checkpoints import FORMAT
-from ahnn.cli.build import Part, each, factories, plain_config, stored, without_network
+from ahnn.cli.build import factories, factory, plain_config, stored, without_network
 from ahnn.cli.parts import (
     SENSOR,
     SIMULATION,
@@ -61,7 +61,7 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
     cfg = without_network(cfg)
     torch.set_num_threads(cfg.threads)
     seed_everything(cfg.seed, verbose=False)
-    values, made = plain_config(cfg), factories(parts_of(cfg))
+    values, made = plain_config(cfg), factories_of(cfg)
     source, folder = source or build_source(cfg), Path(cfg.folder)
     data = made["data"](source=source, window=cfg.window, sensor=build_sensor(cfg, source))
     plugins = build_plugins(cfg, data.splits)
@@ -113,8 +113,8 @@ def require_one(cfg: DictConfig) -> None:
         raise UserError(message)
 
 
-def parts_of(cfg: DictConfig) -> dict[str, Part]:
-    """Return the nodes of a training run to be built from their keys and a few objects.
+def factories_of(cfg: DictConfig) -> Factories:
+    """Return the factories of the parts of a training run.
 
     Raises:
         UserError: a GPU is requested, and there is none.
@@ -126,14 +126,17 @@ def parts_of(cfg: DictConfig) -> dict[str, Part]:
     if node.accelerator in ("gpu", "cuda") and not torch.accelerator.is_available():
         message = "trainer.accelerator: expected a GPU; received none. Use trainer.accelerator=cpu or auto"
         raise UserError(message)
-    parts = {
-        "data": Part(OmegaConf.create(data), WindowDataModule, ("source", "window", "sensor")),
-        "model": Part(cfg.model, AbstractModel, ("dof", "inertia", "window", "controls", "angular")),
-        "optimizer": Part(cfg.optimizer),
-        **({"scheduler": Part(cfg.scheduler)} if cfg.scheduler else {}),
-        "trainer": Part(node, Trainer, ("plugins", "callbacks", "logger", "default_root_dir")),
+    for_data, for_model = ("source", "window", "sensor"), ("dof", "inertia", "window", "controls", "angular")
+    for_trainer = ("plugins", "callbacks", "logger", "default_root_dir")
+    return {
+        "data": factory(OmegaConf.create(data), "data", WindowDataModule, for_data),
+        "model": factory(cfg.model, "model", AbstractModel, for_model),
+        "optimizer": factory(cfg.optimizer, "optimizer"),
+        **({"scheduler": factory(cfg.scheduler, "scheduler")} if cfg.scheduler else {}),
+        "trainer": factory(node, "trainer", Trainer, for_trainer),
+        **factories(cfg.callbacks, "callbacks", Callback),
+        **factories(cfg.logger, "logger", Logger),
     }
-    return parts | each(cfg.callbacks, "callbacks", Callback) | each(cfg.logger, "logger", Logger)
 
 
 def build_model(values: dict[str, Any], made: Factories, data: WindowDataModule) -> AbstractModel:
