@@ -144,13 +144,6 @@ def plain_config(cfg: Any) -> dict[str, Any]:
     return OmegaConf.to_container(cfg, resolve=True)  # pyright: ignore[reportReturnType]
 
 
-def of_seed(cfg: DictConfig, seed: int) -> DictConfig:
-    """Return the configuration of one seed among several."""
-    part = cfg.copy()
-    part.seed, part.seeds, part.folder = seed, None, f"{cfg.folder}/seed_{seed}"
-    return part
-
-
 def stored(cfg: DictConfig) -> bytes:
     """Return the configuration as plain YAML; references of plugins to `measurement` are kept."""
     plugins = OmegaConf.to_container(cfg.plugins, resolve=False)

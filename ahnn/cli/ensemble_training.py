@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig
 
-from ahnn.cli.build import factory, of_seed, stored, without_network
+from ahnn.cli.build import factory, stored, without_network
 from ahnn.cli.early_stops import held, interruptible
 from ahnn.cli.parts import is_multirun
 from ahnn.cli.preflight import require_new
-from ahnn.cli.training import go_on
+from ahnn.cli.training import go_on, of_seed
 from ahnn.errors import UserError
 from ahnn.files import claimed, require_writable
 
@@ -61,21 +61,21 @@ def prepare_members(cfg: DictConfig) -> Prepared:
     shared.callbacks.best = shared.callbacks.rollout = None
     folder = Path(cfg.folder)
     trainer = build_trainer(factories_of(shared), folder)
-    trainer.callbacks.append(points_of(cfg, members))  # pyright: ignore[reportAttributeAccessIssue]
+    trainer.callbacks.append(points_of(cfg.callbacks, members))  # pyright: ignore[reportAttributeAccessIssue]
     data.feed(trainer)
     model = EnsembleModel([member.model for member in members])
     model.check(trainer)
-    if (checkpoint := checkpoint_of(cfg)) is not None:
+    if (checkpoint := checkpoint_of(cfg.ckpt, cfg.folder)) is not None:
         require_resumable(checkpoint, model, trainer)
     joint = {"folder": folder, "config": stored(cfg), "checkpoint": checkpoint, "members": members}
     return replace(members[0], **joint, model=model, trainer=trainer, recorded=False)
 
 
-def points_of(cfg: DictConfig, members: Sequence[Prepared]) -> MemberPoints:
+def points_of(callbacks: DictConfig, members: Sequence[Prepared]) -> MemberPoints:
     """Return the callback that keeps each member's best weights; raises UserError if nothing selects them."""
     from ahnn.training.callbacks import MemberPoints, ValidationRollout
 
-    best, node = cfg.callbacks.get("best"), cfg.callbacks.get("rollout")
+    best, node = callbacks.get("best"), callbacks.get("rollout")
     if best is None or node is None:
         message = (
             "callbacks: expected best and rollout, which select the weights of each member; received "

@@ -24,7 +24,7 @@ def read_evaluation(arguments: list[str]) -> Reevaluation:
     torch.set_num_threads(cfg.threads)
     source = build_source(cfg)
     sensor = build_sensor(cfg, source)
-    unread = (*unread_of_data(cfg, source, sensor), *unread_of_plugins(cfg.plugins))
+    unread = (*unread_of_data(cfg.system, source, sensor), *unread_of_plugins(cfg.plugins))
     refuse(unread, request.overrides)
     splits = SplitData(source, list(cfg.data.split), sensor)  # no windows are needed
     return Reevaluation(
@@ -34,7 +34,7 @@ def read_evaluation(arguments: list[str]) -> Reevaluation:
         name=request.name,
         label=cfg.label,
         splits=splits,
-        plugins=build_plugins(cfg, splits),
+        plugins=build_plugins(cfg.plugins, splits),
         seed=cfg.evaluation.seed,
-        report=report_options(cfg),
+        report=report_options(cfg.evaluation),
     )

@@ -144,11 +144,11 @@ def build_sighted(options: dict[str, Any], source: Observed) -> Recorded:
     return Recorded(source.space, **options)
 
 
-def build_plugins(cfg: DictConfig, splits: SplitData) -> dict[str, EvaluationPlugin]:
+def build_plugins(nodes: DictConfig, splits: SplitData) -> dict[str, EvaluationPlugin]:
     """Build the evaluations that run after training, and check each against the data."""
     from ahnn.evaluation import EvaluationPlugin
 
-    plugins = build_all(cfg.plugins, "plugins", EvaluationPlugin)
+    plugins = build_all(nodes, "plugins", EvaluationPlugin)
     source = splits.source
     for name, plugin in plugins.items():
         try:
@@ -159,16 +159,15 @@ def build_plugins(cfg: DictConfig, splits: SplitData) -> dict[str, EvaluationPlu
     return plugins
 
 
-def report_options(cfg: DictConfig) -> dict[str, Any]:
-    """Return the user's report options."""
-    asked = cfg.evaluation
+def report_options(asked: DictConfig) -> dict[str, Any]:
+    """Return the report options of the node `evaluation`."""
     detail = asked.get("detail", False)  # absent in runs of earlier versions
     return {"predictions": asked.save_predictions, "figures": asked.figures, "detail": detail}
 
 
-def is_one_of_several(cfg: DictConfig) -> bool:
-    """Return whether a training is one of several of a command: of a sweep, or of several seeds."""
-    return is_multirun() or (HydraConfig.initialized() and cfg.folder != HydraConfig.get().runtime.output_dir)
+def is_one_of_several(folder: str) -> bool:
+    """Return whether the training in a folder is one of several: of a sweep, or of several seeds."""
+    return is_multirun() or (HydraConfig.initialized() and folder != HydraConfig.get().runtime.output_dir)
 
 
 def is_multirun() -> bool:

@@ -55,16 +55,21 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
         asked: overrides of the configuration; None: the overrides on the command line.
 
     Raises:
-        UserError: incompatible parts, or an override without effect.
+        UserError: incompatible parts, an override without effect, or members, which are trained together.
     """
-    require_one(cfg)
+    if cfg.get("members"):
+        message = (
+            f"members: expected null, since one model is trained here; received {cfg.members}. Use "
+            "python -m ahnn.train"
+        )
+        raise UserError(message)
     cfg = without_network(cfg)
     torch.set_num_threads(cfg.threads)
     seed_everything(cfg.seed, verbose=False)
     values, made = plain_config(cfg), factories_of(cfg)
     source, folder = source or build_source(cfg), Path(cfg.folder)
     data = made["data"](source=source, window=cfg.window, sensor=build_sensor(cfg, source))
-    plugins = build_plugins(cfg, data.splits)
+    plugins = build_plugins(cfg.plugins, data.splits)
     model = build_model(values, made, data)
     trainer = build_trainer(made, folder)
     data.feed(trainer)
@@ -77,13 +82,13 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
         data=data,
         model=model,
         trainer=trainer,
-        checkpoint=checkpoint_of(cfg),
+        checkpoint=checkpoint_of(cfg.ckpt, cfg.folder),
         weights=cfg.weights,
         recorded=cfg.cuda_graphs,
         robust=cfg.loss.get("robust", "none"),
         plugins=plugins,
         evaluation_seed=cfg.evaluation.seed,
-        report=report_options(cfg),
+        report=report_options(cfg.evaluation),
         searched=searched(values),
         caveat=caveat,
     )
@@ -92,25 +97,15 @@ def prepare(cfg: DictConfig, source: Source | None = None, asked: Sequence[str] 
     return prepared
 
 
-def checkpoint_of(cfg: DictConfig) -> Path | None:
-    """Return the checkpoint to resume from: `last` or `best` of the run folder, a file, or None.
+def checkpoint_of(asked: str | None, folder: str) -> Path | None:
+    """Return the checkpoint to resume from: `last` or `best` of a run folder, a file, or None.
 
     A training that is one of several begins where it has no checkpoint yet.
     """
-    if cfg.ckpt not in ("last", "best"):
-        return None if cfg.ckpt is None else Path(cfg.ckpt)
-    found = Path(cfg.folder, "checkpoints", f"{cfg.ckpt}.ckpt")
-    return found if found.exists() or not is_one_of_several(cfg) else None
-
-
-def require_one(cfg: DictConfig) -> None:
-    """Raise UserError if an ensemble is requested where a single model is trained."""
-    if cfg.get("members"):
-        message = (
-            f"members: expected null, since one model is trained here; received {cfg.members}. Use "
-            "python -m ahnn.train"
-        )
-        raise UserError(message)
+    if asked not in ("last", "best"):
+        return None if asked is None else Path(asked)
+    found = Path(folder, "checkpoints", f"{asked}.ckpt")
+    return found if found.exists() or not is_one_of_several(folder) else None
 
 
 def factories_of(cfg: DictConfig) -> Factories:

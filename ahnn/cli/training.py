@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from ahnn.cli.build import of_seed
 from ahnn.cli.early_stops import ended, held, interruptible
 from ahnn.cli.preflight import begin, require_new
 from ahnn.files import claimed, require_writable
@@ -38,13 +37,20 @@ def train(cfg: DictConfig) -> float:
     with held():
         from ahnn.cli.parts import is_multirun, is_one_of_several
 
-    with ended(lambda: go_on(parts[0])) if is_one_of_several(parts[0]) else nullcontext():
+    with ended(lambda: go_on(parts[0])) if is_one_of_several(parts[0].folder) else nullcontext():
         losses = [train_once(part) for part in parts]
     from ahnn.jobs.closing import require_converged  # imported late, like the training code
 
     if not is_multirun():  # in a sweep the table shows each job, and a search uses the losses
         require_converged([Path(part.folder) for part in parts])
     return sum(losses) / len(losses)
+
+
+def of_seed(cfg: DictConfig, seed: int) -> DictConfig:
+    """Return the configuration of one seed among several."""
+    part = cfg.copy()
+    part.seed, part.seeds, part.folder = seed, None, f"{cfg.folder}/seed_{seed}"
+    return part
 
 
 def check(cfg: DictConfig) -> None:
@@ -112,7 +118,7 @@ def go_on(cfg: DictConfig) -> str:
 
     if cfg.get("trial") is not None:
         return "repeat the command to continue the search"
-    if is_one_of_several(cfg):
+    if is_one_of_several(cfg.folder):
         own = HydraConfig.get()
         folder = own.sweep.dir if is_multirun() else own.runtime.output_dir
         return f"resume with the same command and run={folder} ckpt=last"

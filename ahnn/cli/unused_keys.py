@@ -58,7 +58,7 @@ def require_read(cfg: DictConfig, prepared: Prepared, texts: Iterable[str] | Non
     texts = asked_for(texts)
     values = {key: value for key, _, value in (text.partition("=") for text in texts)}
     several = values.get("seeds", "null") != "null"
-    data = unread_of_data(cfg, prepared.data.source, prepared.data.sensor)
+    data = unread_of_data(cfg.system, prepared.data.source, prepared.data.sensor)
     training, plugins = unread_of_training(cfg, prepared, several=several), unread_of_plugins(cfg.plugins)
     refuse((*data, *training, *plugins), texts)
 
@@ -75,7 +75,7 @@ def refuse(found: Iterable[tuple[str, str]], texts: Iterable[str]) -> None:
                 log.warning(str(error))
 
 
-def unread_of_data(cfg: DictConfig, source: Source, sensor: Sensor | None) -> Unread:
+def unread_of_data(system: DictConfig, source: Source, sensor: Sensor | None) -> Unread:
     """Yield the keys that a source of trajectories and its evaluation do not read."""
     simulated = isinstance(source, Simulated)
     drawn = simulated or (sensor is not None and not isinstance(sensor, Recorded))
@@ -85,7 +85,7 @@ def unread_of_data(cfg: DictConfig, source: Source, sensor: Sensor | None) -> Un
         ("evaluation.seed", source.truth is not None, "starts are perturbed only in known systems"),
         (
             "system.steps",
-            cfg.system.get("periods") is None,
+            system.get("periods") is None,
             "system.periods sets the duration of trajectories",
         ),
     )
@@ -102,7 +102,7 @@ def unread_of_training(cfg: DictConfig, prepared: Prepared, *, several: bool) ->
     yield from unless(
         (
             "weights",
-            cfg.ckpt is None or cfg.weights is None or is_one_of_several(cfg),
+            cfg.ckpt is None or cfg.weights is None or is_one_of_several(cfg.folder),
             "ckpt resumes a run from its own weights",
         ),
         ("seed", not several, "seeds= replaces it"),
