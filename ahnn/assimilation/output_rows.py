@@ -19,6 +19,7 @@ from torch import Tensor
 
 from ahnn.assimilation.decimal_rows import decimal_rows
 from ahnn.assimilation.fixed_lag import numbers_of
+from ahnn.assimilation.reading_table import Array
 from ahnn.assimilation.row_units import with_row_units
 from ahnn.assimilation.stream_clock import StreamClock
 from ahnn.assimilation.stream_estimate import Estimate
@@ -112,16 +113,12 @@ class Rows:
     ) -> dict[str, Column]:
         """Return the columns of estimates by name."""
         innovations = [cast(Innovation, one.innovation) for one in estimates]
-        times = [one.time for one in estimates]
-        first: list[Column] = [np.array(lines, dtype=np.int64), np.array(times)]
-        first += [] if self.clock is None else [[self.clock.epoch(time) for time in times]]
+        times = np.array([one.time for one in estimates])
+        first: list[Column] = [np.array(lines, dtype=np.int64), times, *self.epochs(times)]
         first += [[*sensors], [str(one.outcome) for one in estimates]]
         first += [np.array([one.replayed for one in estimates], dtype=np.int64)]
         first += [np.array([float(one.nis) for one in innovations])]
         first += [np.array([int(one.measured) for one in innovations], dtype=np.int64)]
-        rows, columns = zip(*self.lower, strict=True)
-        means = torch.stack([one.mean for one in estimates]) / self.scales
-        covariances = torch.stack([one.covariance for one in estimates]) / self.scales.outer(self.scales)
         wide = np.full((2, len(estimates), self.width), np.nan)
         for name in (names := dict.fromkeys(sensors)):
             every = range(len(sensors))
@@ -131,9 +128,23 @@ class Rows:
                 for place, column in zip(self.places.get(name, ()), part.T, strict=True):
                     whole[own, place] = column
         more = [[*one.modes, *self._smoothed(one)] for one in estimates]
-        triangles = covariances[:, list(rows), list(columns)].numpy()
-        numbers = np.concatenate((means.numpy(), triangles, *wide, np.array(more)), axis=1)
+        means = torch.stack([one.mean for one in estimates]).numpy()
+        covariances = torch.stack([one.covariance for one in estimates]).numpy()
+        numbers = self.numbers(means, covariances, *wide, np.array(more))
         return dict(zip(self.names, [*first, *numbers.T], strict=True))
+
+    def epochs(self, times: Array) -> list[list[str]]:
+        """Return the column of epochs of (K,) times; [] if time zero has no epoch."""
+        if self.clock is None:
+            return []
+        known = {time: self.clock.epoch(time) for time in set(times.tolist())}
+        return [[known[time] for time in times.tolist()]]
+
+    def numbers(self, means: Array, covariances: Array, *more: Array) -> Array:
+        """Return means (K, D), lower triangles of covariances (K, D, D), and more columns, as (K, C)."""
+        scales, (rows, columns) = self.scales.numpy(), zip(*self.lower, strict=True)
+        triangles = (covariances / np.outer(scales, scales))[:, list(rows), list(columns)]
+        return np.concatenate((means / scales, triangles, *more), axis=1)
 
     def _smoothed(self, estimate: Estimate) -> list[float]:
         """Return the values of the columns for smoothed estimates."""
