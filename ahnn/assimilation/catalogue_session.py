@@ -96,14 +96,8 @@ class CatalogueSession(StreamSession):
                 yield parser.of_columns(numbers, dict(zip(self.layout.names, columns, strict=True)))
             return
         while texts := self.lines.table(self.every):
-            first = self.lines.number - len(texts) + 1
-            there = [(first + k, text) for k, text in enumerate(texts) if text and not text.startswith("#")]
-            if not there:
-                continue
-            parser = self._parser(there[0][1])
-            if parser.layout.names:
-                there = [(number, text) for number, text in there if text != self.header]
-            yield parser.of_lines([number for number, _ in there], [text for _, text in there])
+            if there := self._numbered(texts):
+                yield self._parser(self.header).of_lines([n for n, _ in there], [text for _, text in there])
 
     def _parser(self, first: str) -> TableParser:
         """Build the line parser from the first line."""

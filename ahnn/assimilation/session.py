@@ -116,11 +116,7 @@ class Session(StreamSession):
 
     def _block(self, texts: list[str], watch: Watcher | None) -> None:
         """Process lines, and write the rows of all processed lines even if a later line fails."""
-        first = self.lines.number - len(texts) + 1
-        there = [(first + k, text) for k, text in enumerate(texts) if text and not text.startswith("#")]
-        if self.layout is None and there:
-            self._begin(there[0][1])
-        readings = self._readings(there)
+        readings = self._readings(self._numbered(texts))
         made = MadeRows([], [], [])
         try:
             while readings:
@@ -132,11 +128,9 @@ class Session(StreamSession):
                 self.written = True
 
     def _readings(self, there: list[tuple[int, str]]) -> deque[ParsedLine]:
-        """Return the readings of numbered lines, without headers or lines to which the start was fitted."""
+        """Return the readings of numbered lines, without those to which the start was fitted."""
         if self.layout is None:
             return deque()
-        if self.layout.names:  # concatenated tables repeat their headers
-            there = [(number, text) for number, text in there if text != self.header]
         fitted = sum(number <= self.fitted for number, _ in there)
         self.counts.update({"fitted": fitted} if fitted else {})
         there = there[fitted:]

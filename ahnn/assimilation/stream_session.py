@@ -173,6 +173,16 @@ class StreamSession(StreamTally):
         if self.beside is not None and self.rows.said is not None:
             sidecar.write(self.beside, self.rows.said)
 
+    def _numbered(self, texts: list[str]) -> list[tuple[int, str]]:
+        """Begin with the first line; return numbered lines without blanks, comments and repeated headers."""
+        first = self.lines.number - len(texts) + 1
+        there = [(first + k, text) for k, text in enumerate(texts) if text and not text.startswith("#")]
+        if self.layout is None and there:
+            self._begin(there[0][1])
+        if self.layout is None or not self.layout.names:
+            return there
+        return [(number, text) for number, text in there if text != self.header]
+
     def _save(self) -> None:
         if self.state is None:
             return
