@@ -71,9 +71,7 @@ class ReadingWindow(NamedTuple):
 
     def kept(self, span: float, most: int) -> ReadingWindow:
         """Return the window limited to a time span and a number of readings."""
-        first = max(0, len(self.entries) - most)
-        while first < len(self.entries) and self.entries[first].time < self.time - span:
-            first += 1
+        first = max(len(self.entries) - most, bisect_left(self.entries, self.time - span, key=TIME))
         if first == 0:
             return self
         last = self.entries[first - 1]

@@ -6,6 +6,7 @@ The estimator filters them in one call; results are bit-identical to filtering o
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Sequence
 from itertools import accumulate, pairwise
 from typing import NamedTuple
@@ -13,7 +14,7 @@ from typing import NamedTuple
 import torch
 
 from ahnn.assimilation.instrument_reading import Reading
-from ahnn.assimilation.late_readings import KeptReading, ReadingWindow
+from ahnn.assimilation.late_readings import TIME, KeptReading, ReadingWindow
 from ahnn.assimilation.stream_models import HOPELESS, StreamModels
 from ahnn.estimation import Belief, FilterState, Innovation
 from ahnn.estimation.argument_checks import checked_sensor
@@ -58,9 +59,7 @@ class FollowedRun(NamedTuple):
     def window(self, old: ReadingWindow, span: float, most: int) -> ReadingWindow:
         """Return a window with these readings after its own, limited as by `ReadingWindow.kept`."""
         last, count, controls = self.readings[-1].time, len(self.readings), old.controls
-        first = max(0, count - most)
-        while first < count and self.readings[first].time < last - span:
-            first += 1
+        first = max(count - most, bisect_left(self.readings, last - span, key=TIME))
         new = tuple(
             KeptReading(self.readings[k].time, self.readings[k], self.state(k), self.innovations[k], controls)
             for k in range(first, count)
