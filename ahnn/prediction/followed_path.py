@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import torch
@@ -39,32 +39,14 @@ class Knowledge(NamedTuple):
         return of_starts + (0 if self.spread is None else self.spread.shape[1])
 
 
-class PathRows(NamedTuple):
-    """States (B, N, D), covariances (B, N, D, D) and novelty (B, N)."""
-
-    states: Tensor
-    covariances: Tensor | None
-    novelty: Tensor | None
-
-    def at(self, chosen: Tensor) -> PathRows:
-        """Return selected samples."""
-        states, *others = (None if part is None else part[:, chosen] for part in self)
-        assert states is not None
-        return PathRows(states, *others)
-
-    @classmethod
-    def joined(cls, rows: Sequence[PathRows]) -> PathRows:
-        """Concatenate segments."""
-        columns = zip(*rows, strict=True)
-        states, *others = (None if column[0] is None else torch.cat(column, dim=1) for column in columns)
-        assert states is not None
-        return cls(states, *others)
+PathPart = tuple[Tensor, Tensor | None, Tensor | None]
+"""States (B, N, D) of a part of a path, with covariances (B, N, D, D) and novelty (B, N) where known."""
 
 
 class FollowedPath:
     """Current states of a batch of paths, with sensitivities to start and parameters.
 
-    With `factors`, `PathRows` contain factors of the covariances, in float64, instead of the covariances.
+    With `factors`, parts contain factors of the covariances, in float64, instead of the covariances.
     """
 
     def __init__(self, dynamics: Dynamics, known: Knowledge, *, factors: bool = False) -> None:
@@ -76,26 +58,26 @@ class FollowedPath:
             self.theta = parameters_to_vector(dynamics.parameters()).detach()
             self.field_columns = field_jacobian(dynamics, self.dtype)  # pyright: ignore[reportArgumentType]
 
-    def begin(self, start: Tensor) -> PathRows:
-        """Set the starts (B, D) and return them as rows."""
+    def begin(self, start: Tensor) -> PathPart:
+        """Set the starts (B, D) and return them as a part."""
         self.x, size, states = start, start.shape[1], start.unsqueeze(1)
         moved = start.new_zeros(len(start), size, self.known.columns)
         if self.known.start is not None:
             moved[..., -size:] = self.known.start
         self.moved = moved.to(self.dtype)
-        return PathRows(states, self._covariances(moved.unsqueeze(1)), self._novelty(states))
+        return states, self._covariances(moved.unsqueeze(1)), self._novelty(states)
 
-    def follow(self, lengths: Tensor, clock: Clock | None = None) -> PathRows:
-        """Take steps of lengths (N,), starting at a clock reading, and return the rows after each step."""
+    def follow(self, lengths: Tensor, clock: Clock | None = None) -> PathPart:
+        """Take steps of lengths (N,), starting at a clock reading, and return the part after each step."""
         states = torch.stack([self.x, *self._steps(self.x, lengths, clock)], dim=1)
         novelty = self._novelty(states)
         self.x = states[:, -1]
         later = None if novelty is None else novelty[:, 1:]
         if not self.known.columns:
-            return PathRows(states[:, 1:], None, later)
+            return states[:, 1:], None, later
         moved = self._columns(states, lengths.expand(len(states), -1), novelty, clock)
         self.moved = moved[:, -1]
-        return PathRows(states[:, 1:], self._covariances(moved[:, 1:]), later)
+        return states[:, 1:], self._covariances(moved[:, 1:]), later
 
     def _columns(
         self, states: Tensor, lengths: Tensor, novelty: Tensor | None, clock: Clock | None

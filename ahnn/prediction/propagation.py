@@ -9,7 +9,7 @@ its parameter covariance implies.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import torch
 from torch import Tensor
@@ -19,7 +19,7 @@ from ahnn.deviations import require_finite
 from ahnn.dynamics import Dynamics, HasField
 from ahnn.errors import UserError
 from ahnn.memory import require_memory
-from ahnn.prediction.followed_path import FollowedPath, Knowledge, PathRows
+from ahnn.prediction.followed_path import FollowedPath, Knowledge
 from ahnn.prediction.sampled_prediction import path_samples, require_samples
 from ahnn.progress import track
 from ahnn.shooting.path_sensitivities import Steps, path, steps_between
@@ -118,10 +118,7 @@ def predicted(
     if samples:
         require_samples(samples, start.numel() * len(times), known)
     require_memory("start", "sensitivities of states", 4.0 * INTERVALS * start.numel() * known.columns)
-    rows, indices = _followed(FollowedPath(dynamics, known), start, times, longest, description, clock)
-    found = Prediction(times, *rows)
-    if indices is not None:
-        found = found._replace(nonlinearity=indices[0], joint_nonlinearity=indices[1])
+    found = _followed(FollowedPath(dynamics, known), start, times, longest, description, clock)
     if not samples:
         return found
     paths = path_samples(dynamics, start, times, longest, known, samples, description, clock)
@@ -151,9 +148,9 @@ def prediction_factors(
     require_finite(start)
     require_memory("times", "sensitivities of states", 8.0 * len(times) * len(start) * known.columns)
     path = FollowedPath(dynamics, known, factors=True)
-    rows, _ = _followed(path, start.unsqueeze(0), times, longest)
-    assert rows.covariances is not None
-    return rows.states[0], rows.covariances[0]
+    found = _followed(path, start.unsqueeze(0), times, longest)
+    assert found.covariances is not None
+    return found.states[0], found.covariances[0]
 
 
 def _followed(
@@ -163,8 +160,8 @@ def _followed(
     longest: float,
     description: str | None = None,
     clock: Clock | None = None,
-) -> tuple[PathRows, Tensor | None]:
-    """Return the rows of a path at given times, computed in segments, and its two indices of nonlinearity."""
+) -> Prediction:
+    """Return the prediction at given times, computed in segments; with `factors`, without nonlinearity."""
     steps = steps_between(times.unsqueeze(0), longest)
     paths.quartered = paths.known.spread is not None and needs_quarters(paths.dynamics, start, steps)
     wanted = torch.zeros(int(steps.ends[-1]) + 1, dtype=torch.bool)
@@ -176,21 +173,27 @@ def _followed(
     along = None if clock is None else clock.along(lengths, steps.ends)
     parts = list(torch.arange(len(lengths)).split(size))
     every = -(-len(parts) // INTERVALS)
-    rows, nodes = [paths.begin(start)], [(paths.x, paths.moved)]
+    rows: list[Any] = [paths.begin(start)]
+    nodes = [(paths.x, paths.moved)]
     for k, part in enumerate(track(parts, description, len(parts)) if description else parts, start=1):
         own = None if along is None else along.steps(part)
-        rows.append(paths.follow(lengths[part], own).at(wanted[1:][part]))
+        chosen = wanted[1:][part]
+        rows.append([None if x is None else x[:, chosen] for x in paths.follow(lengths[part], own)])
         if k % every == 0 or k == len(parts):
             nodes.append((paths.x, paths.moved))
+    columns: Any = (None if xs[0] is None else torch.cat(xs, dim=1) for xs in zip(*rows, strict=True))
+    found = Prediction(times, *columns)
+    del rows  # their memory is needed below
     if paths.factors or not paths.known.columns:
-        return PathRows.joined(rows), None
+        return found
     between = torch.arange(len(lengths)).split(size * every)
 
     def flow(k: int, x: Tensor) -> Tensor:
         return paths.end(x, lengths[between[k]], None if along is None else along.steps(between[k]))
 
     indices = node_nonlinearity(flow, *(torch.stack(column, dim=1) for column in zip(*nodes, strict=True)))
-    return PathRows.joined(rows), indices[..., -(-steps.ends // (size * every))]
+    single, joint = indices[..., -(-steps.ends // (size * every))]
+    return found._replace(nonlinearity=single, joint_nonlinearity=joint)
 
 
 def node_nonlinearity(flow: IntervalFlow, states: Tensor, columns: Tensor) -> Tensor:
