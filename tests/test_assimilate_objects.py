@@ -240,6 +240,16 @@ def test_the_factor_of_a_unit_is_that_before_the_gate_reopened(place, capsys):
     )
 
 
+def test_a_start_far_from_all_measurements_is_named(place, caplog):
+    path = place / "starts.csv"
+    lines = path.read_text().splitlines()
+    lines[3] = lines[3].replace(repr(float(STARTS[2, 1])), repr(float(STARTS[2, 1]) + 500.0))
+    path.write_text("\n".join(lines) + "\n")
+    assert assimilate(*GIVEN, "output=out.csv", "plugins.ukf.patience=3") == 0
+    (said,) = [text for text in caplog.messages if "frame, unit and time" in text]
+    assert said.startswith("object S2: all its measurements before were rejected")
+
+
 @pytest.mark.usefixtures("place")
 def test_names_of_many_objects_pass_from_their_starts_to_their_states():
     about = "EARTH", "EME2000", "UTC", instant("2024-03-01T12:00:00", utc=True), np.zeros(1)

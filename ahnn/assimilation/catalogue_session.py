@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ahnn.assimilation.catalogue import Catalogue
 from ahnn.assimilation.catalogue_rows import CatalogueRows
@@ -28,6 +29,10 @@ log = logging.getLogger("ahnn")
 
 SAID = 5
 """Number of lines per table reported individually for each outcome; more are only counted."""
+UNLIKELY = (
+    "object %s: all its measurements before were rejected, since they are far from its start. Check its "
+    "frame, unit and time, or give it a larger start_sd"
+)
 NAMED = 1000
 """Number of unknown object names remembered, so that each is reported once."""
 
@@ -56,6 +61,7 @@ class CatalogueSession(StreamSession):
         shard: ObjectShard = ObjectShard(),  # noqa: B008 - a tuple
     ) -> None:
         self.objects, self.shard, self.unknown = objects, shard, set[str]()
+        self.met = set[str]()
         super().__init__(filtering, lines, rows, output, state, every, clock)
 
     def run(self, *, judged: bool = True) -> None:
@@ -154,7 +160,20 @@ class CatalogueSession(StreamSession):
         new = {parsed.table.objects[k]: parsed.lines[k] for k in reversed(unknown)}
         new = {name: line for name, line in new.items() if name not in self.unknown}
         self.unknown |= {*islice(new, max(0, NAMED - len(self.unknown)))}
+        self._warn_of_starts(parsed.table.objects, found.fates)
         _say("unknown", {line: f"object {name} has no start: ignored" for name, line in new.items()})
+
+    def _warn_of_starts(self, objects: list[str], fates: NDArray[Any]) -> None:
+        """Warn once of each start from which no measurement was accepted before its gate reopened.
+
+        A resumed session does not know which objects were met before.
+        """
+        taken, opened = ({*np.flatnonzero(fates == FATES.index(name))} for name in ("taken", "reopened"))
+        for k in sorted(taken | opened) if opened and not self.resumed else ():
+            if k in opened and objects[k] not in self.met:
+                log.warning(UNLIKELY, objects[k])
+            self.met.add(objects[k])
+        self.met.update(objects[k] for k in taken)
 
 
 WORDS = {
