@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from ahnn.data.files.frames import terrestrial
 from ahnn.optional_libraries import library
 
-Array = NDArray[np.float64]
 SUN_MU, MOON_MU = 132712440040.944, 4902.800076
 """Gravitational parameters in km^3/s^2 (DE421)."""
 MOON_FRACTION = 1 / (1 + 81.3005690699153)

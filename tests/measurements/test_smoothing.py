@@ -136,7 +136,7 @@ def test_widths_do_not_depend_on_the_units_of_a_component():
 def test_no_polynomial_is_wider_than_a_trajectory_but_for_the_narrowest(samples, monkeypatch):
     """Those of up to six samples on either side are tried in any case."""
     seen, t = [], 0.1 * torch.arange(samples, **DOUBLE).unsqueeze(0)
-    local = smoothing.Local(*torch.randn(6, 3, 1, generator=generator(1), **DOUBLE), torch.zeros(3))
+    local = smoothing.Local(*torch.randn(6, 3, 1, generator=generator(1), **DOUBLE))
     monkeypatch.setattr(smoothing, "around", lambda *given: seen.append(given[-1]) or local)
     smoothed(Instrument(Position(1), torch.ones(1), 0.1, 1, 1.0), cubic(t).unsqueeze(-1), t, 7)
     assert seen == [width for width in smoothing.WIDTHS if width <= 6 or 2 * width + 1 <= samples]

@@ -164,13 +164,13 @@ def _solutions(blocks: _Blocks) -> dict[str, list[StationSolution]]:
     found: dict[str, list[StationSolution]] = {}
     for (point, number), one in blocks.estimates.items():
         position = _vector(one, COORDINATES)
-        moving = any(name in one.values for name in RATES)
-        velocity = _vector(one, RATES) if moving else np.zeros(3)
+        known = any(name in one.values for name in RATES)
+        velocity = _vector(one, RATES) if known else np.zeros(3)
         if not NEAREST <= (distance := float(np.linalg.norm(position))) <= FARTHEST:
             expected = f"a station on the Earth ({point}), {NEAREST:g} to {FARTHEST:g} m from its centre"
             one.place.refuse(expected, f"{distance:.0f} m")
         start, end = blocks.spans.get((point, number), (None, None))
-        solution = StationSolution(one.reference, position / 1000, velocity / 1000, start, end, moving)
+        solution = StationSolution(one.reference, position / 1000, velocity / 1000, start, end)
         found.setdefault(point, []).append(solution)
     return {point: sorted(ones, key=lambda one: one.start or 0) for point, ones in found.items()}
 

@@ -26,9 +26,8 @@ class StationSolution(NamedTuple):
     Attributes:
         reference: moment of the position (`epochs.instant`).
         position: (3,) km in the terrestrial frame.
-        velocity: (3,) km per year.
+        velocity: (3,) km per year; 0 if unknown.
         start, end: time span of the data; None if unspecified.
-        moving: whether the velocity is known.
     """
 
     reference: int
@@ -36,7 +35,6 @@ class StationSolution(NamedTuple):
     velocity: Vector
     start: int | None
     end: int | None
-    moving: bool = True
 
     def at(self, moment: int) -> Vector:
         """Return the position at a moment, in km."""

@@ -1,4 +1,4 @@
-"""Runs of a report: results, and arrays on demand."""
+"""Runs of a report, and their results."""
 
 from __future__ import annotations
 
@@ -6,10 +6,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-from safetensors import SafetensorError, safe_open
-from torch import Tensor
-
-from ahnn.contents import require_regular
 from ahnn.errors import UserError
 from ahnn.evaluation.results import FILE, Results, load_results
 from ahnn_plugins.report.settings import SETTINGS, data_of, values_of
@@ -44,23 +40,6 @@ class Entry(NamedTuple):
         seed = self.results.training.get("seed")
         return seed if isinstance(seed, int) else None
 
-    def array(self, key: str) -> Tensor | None:
-        """Return an array of the evaluation, such as `truth`, (B, T, D); None if it was not kept.
-
-        Raises:
-            UserError: the file is damaged.
-        """
-        path = self.folder / PREDICTIONS
-        if not path.exists():
-            return None
-        try:
-            require_regular(path)
-            with safe_open(str(path), "pt") as arrays:
-                return arrays.get_tensor(key) if key in arrays.keys() else None  # noqa: SIM118 - no mapping
-        except (SafetensorError, OSError) as error:
-            message = f"{path}: expected the arrays of an evaluation; received a damaged file: {error}"
-            raise UserError(message) from error
-
 
 class Collection(NamedTuple):
     """All runs of a report, ordered by folder.
@@ -77,10 +56,6 @@ class Collection(NamedTuple):
         """Return the names of the systems, without duplicates, the paper's systems first."""
         names = dict.fromkeys(entry.system for entry in self.entries)
         return sorted(names, key=lambda name: PAPER.index(name) if name in PAPER else len(PAPER))
-
-    def models(self, system: str) -> list[str]:
-        """Return the names of the models of a system, without duplicates."""
-        return list(dict.fromkeys(entry.model for entry in self.of(system)))
 
     def of(self, system: str, model: str | None = None) -> list[Entry]:
         """Return the runs of a system, or of one of its models."""

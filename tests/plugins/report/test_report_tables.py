@@ -14,6 +14,7 @@ from ahnn.evaluation import Row, Who
 from ahnn.types import Units
 from ahnn_plugins.report.collection import collect
 from ahnn_plugins.report.comparisons import ablation_table, agreement, order_table, ordered
+from ahnn_plugins.report.figures.reading import kept
 from ahnn_plugins.report.grid import Cell, Line
 from ahnn_plugins.report.layout import grid_latex, latex, letter
 from ahnn_plugins.report.markdown import grid_markdown
@@ -233,8 +234,8 @@ def test_later_evaluations_count_once_and_links_do_not_double_a_run(tmp_path):
     with pytest.raises(UserError, match="expected a run, or a folder of runs"):
         collect([tmp_path / "nowhere"])
     (run / "predictions.safetensors").write_bytes(b"x" * 20)
-    with pytest.raises(UserError, match="damaged"):
-        found.entries[0].array("truth")
+    with pytest.raises(UserError, match="Evaluate the run again"):
+        kept(found.entries[0], 0)
 
 
 def test_consistency_is_judged_by_the_band_of_what_plugins_say():

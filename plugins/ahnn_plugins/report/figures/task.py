@@ -114,8 +114,3 @@ def state_labels(run: Kept) -> list[str]:
 def time_label(run: Kept) -> str:
     """Return the label of an axis of time."""
     return "sample" if run.unit == "samples" else f"time [{run.unit}]"
-
-
-def title_of(start: str) -> str:
-    """Return the name of a start in titles."""
-    return f"{start} start"
