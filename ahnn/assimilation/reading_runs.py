@@ -97,14 +97,12 @@ class ReadingRuns:
             starts += accumulate([length] * (parts - 1), initial=begin)
             lengths += [length] * parts
             measured += [False] * (parts - 1) + [True]
-        steps = torch.tensor(lengths, dtype=torch.float64)
-        rows = torch.tensor([reading.values for reading in readings[:count]], dtype=torch.float64)
-        run, sensor = (
-            StepRun(starts, steps, process.noises(steps).chol, measured, rows),
-            self._sensor(name, state),
-        )
+        values = [[reading.values] for reading in readings[:count]]
+        begun, steps, rows = (torch.tensor(one, dtype=torch.float64) for one in (starts, lengths, values))
+        run = StepRun(begun, steps, process.noises(steps).chol.unsqueeze(1), measured, rows)
         assert self.estimator is not None
-        found = self.estimator.follow(state, process.flow, run, sensor, HOPELESS * rows.shape[1])
+        most = HOPELESS * rows.shape[-1]
+        found = self.estimator.follow(state, process.flow, run, self._sensor(name, state), most)
         if found is None:
             self.unfit.add(name)
         return _run(state, readings[: len(found.nis)], found, measured) if found and len(found.nis) else None

@@ -1,4 +1,4 @@
-"""Sequences of steps of one member, filtered in one call until a row may be rejected or the member fail."""
+"""Sequences of steps, filtered in one call until a row may be rejected or a member fail."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from ahnn.types import Flow
 
 
 class StepRun(NamedTuple):
-    """S steps of one member, of which K end with a measured row.
+    """S steps of B members, of which K end with a measured row.
 
     Attributes:
-        starts: S times at which steps begin.
+        starts: (S,) times at which steps begin.
         lengths: (S,) their lengths.
-        chol_q: (S, D, D) factors of the process noise.
+        chol_q: (S or 1, B or 1, D, D) factors of the process noise.
         measured: S flags, whether a row is measured at the end of the step.
-        rows: (K, M) rows without missing components.
+        rows: (K, B, M) rows without missing components.
     """
 
-    starts: list[float]
+    starts: Tensor
     lengths: Tensor
     chol_q: Tensor
     measured: list[bool]
@@ -63,7 +63,7 @@ class RunFilter(Protocol):
         Args:
             state: state of one member before the sequence.
             flow: the process model.
-            run: steps and rows.
+            run: its steps and rows.
             sensor: measurement model of the rows.
             most: NIS above which the call ends, whatever the gate.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -37,7 +36,7 @@ class CalledFlow:
 
     Args:
         flow: the process model.
-        starts: times at which the steps begin.
+        starts: (S,) times at which the steps begin.
         weights: sigma point weights.
         points: (B, S, D) sigma points before a step.
         moved: (B, S, D) sigma points after the step.
@@ -49,10 +48,10 @@ class CalledFlow:
     """
 
     def __init__(
-        self, flow: Flow, starts: Sequence[Tensor], weights: SigmaWeights, points: Tensor, moved: Tensor
+        self, flow: Flow, starts: Tensor, weights: SigmaWeights, points: Tensor, moved: Tensor
     ) -> None:
         self.flow, self.weights, self.points, self.moved = flow, weights, points, moved
-        self.timed, self.starts = bool(clock_of(flow)), iter(starts)
+        self.starts = iter(starts) if clock_of(flow) else None
         self.left: Tensor | None = None
         self.interrupt: BaseException | None = None
 
@@ -60,7 +59,7 @@ class CalledFlow:
         """Write the points after a step dt; return 0, or 1 if there are none."""
         del about, count, x, out  # x and out are the memory of `points` and `moved`
         try:
-            flow = at(self.flow, next(self.starts)) if self.timed else self.flow
+            flow = at(self.flow, next(self.starts)) if self.starts else self.flow
             found = propagate(flow, self.points.clone(), dt)
             if not members.apply_to(self.weights, found):
                 self.left = found
@@ -72,30 +71,6 @@ class CalledFlow:
             self.interrupt = error
             return 1
         return 0
-
-
-class RunSteps(NamedTuple):
-    """Steps of B members.
-
-    Attributes:
-        flow: the process model.
-        starts: S times at which steps begin; not needed for a flow that does not depend on time.
-        lengths: (S,) step lengths.
-        chol_q: (S or 1, B or 1, D, D) factors of the process noise.
-        measured: S flags, whether a row is measured at the end of the step.
-        rows: (K, B, M) rows without missing components.
-        sensor: measurement model of the rows.
-        most: NIS above which a row needs a decision, regardless of the gate.
-    """
-
-    flow: Flow
-    starts: Sequence[Tensor]
-    lengths: Tensor
-    chol_q: Tensor
-    measured: Sequence[bool]
-    rows: Tensor
-    sensor: SensorModel
-    most: float = math.inf
 
 
 class DoneSteps(NamedTuple):
@@ -127,24 +102,30 @@ def _half(periods: tuple[float, ...]) -> Tensor:
     return 0.5 * torch.tensor(periods, dtype=torch.float64)
 
 
-def done_steps(state: FilterState, weights: SigmaWeights, steps: RunSteps) -> DoneSteps:
-    """Execute steps that are supported, until one needs a decision."""
-    thresholds, sensor = steps.sensor.thresholds, steps.sensor
-    most = steps.most if thresholds is None else min(steps.most, float(thresholds[-1]))
+def done_steps(
+    state: FilterState,
+    weights: SigmaWeights,
+    flow: Flow,
+    run: StepRun,
+    sensor: SensorModel,
+    most: float = math.inf,
+) -> DoneSteps:
+    """Execute steps that are supported, until one needs a decision, as a NIS above `most` does."""
+    most = most if sensor.thresholds is None else min(most, float(sensor.thresholds[-1]))
     half = _half(periods(sensor.measurement))
     points = draw(state.belief, weights)
-    moved, results = torch.empty_like(points), members.results(len(steps.measured), half.numel(), points)
-    known = getattr(steps.flow, "as_compiled", None)
+    moved, results = torch.empty_like(points), members.results(len(run.measured), half.numel(), points)
+    known = getattr(flow, "as_compiled", None)
     compiled: CompiledFlow | None = None
     if known is not None and points.shape[0] * points.shape[1] <= PART:  # larger batches use several cores
         compiled = known()
     called = None
     if compiled is None:
-        called = CalledFlow(steps.flow, steps.starts, weights, points, moved)
+        called = CalledFlow(flow, run.starts, weights, points, moved)
         function = CALLED(called)
         compiled = CompiledFlow(ctypes.cast(function, P).value or 0, 0, (function,))
-    noise = steps.chol_q, sensor.chol_r, most, half
-    fixed = steps.lengths, steps.measured, steps.rows
+    noise = run.chol_q, sensor.chol_r, most, half
+    fixed = run.lengths, run.measured, run.rows
     code, count = members.follow(compiled, *fixed, weights, *noise, (points, moved), results)
     if called is not None and called.interrupt is not None:
         raise called.interrupt
@@ -158,9 +139,7 @@ def follow(
     """Filter the first rows of a sequence of one member; see `ahnn.estimation.step_runs.RunFilter`."""
     if not supported(state, kernel, sensor, run.chol_q, run.rows):
         return None
-    starts = torch.tensor(run.starts, dtype=torch.float64).unbind() if clock_of(flow) else ()
-    given = flow, starts, run.lengths, run.chol_q.unsqueeze(1), run.measured, run.rows.unsqueeze(1)
-    done = done_steps(state, kernel.weights, RunSteps(*given, sensor, most))
+    done = done_steps(state, kernel.weights, flow, run, sensor, most)
     ends = torch.tensor(run.measured[: done.number], dtype=torch.bool).nonzero()[:, 0]
     parts = (part[ends, 0] for part in done.results)
     _, _, residuals, means, chols, deviations, nis, log_likelihoods, _ = parts

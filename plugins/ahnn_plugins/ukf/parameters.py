@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from collections.abc import Callable
+from typing import NamedTuple
 
 from torch import Tensor
 
@@ -53,44 +54,20 @@ class SigmaWeights(NamedTuple):
     crowding: Tensor | None
 
 
-class Residual(Protocol):
-    """Difference of two measurements, shape (..., M), with angles wrapped."""
+Residual = Callable[[Tensor, Tensor], Tensor]
+"""Difference y - y_pred of two measurements, shape (..., M), with angles wrapped."""
+Predict = Callable[[Tensor, SigmaWeights, Tensor], Predicted]
+"""Propagated sigma points (B, S, D), weights and chol_q -> belief, with additive process noise."""
+Update = Callable[[Belief, Tensor, Tensor, Residual, SigmaWeights, Tensor], Updated]
+"""Prior, its measured sigma points (B, S, M), row y (B, M), residual, weights and chol_r -> posterior.
 
-    def __call__(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return y - y_pred."""
-        ...
+Missing components of y are NaN.
+"""
+Read = Callable[[Belief, Tensor, SigmaWeights, Tensor], Updated | None]
+"""Prior, row y (B, M) of the first M state components, weights and chol_r -> posterior, without sigma points.
 
-
-class Predict(Protocol):
-    """Moments of the propagated sigma points (B, S, D), plus additive process noise."""
-
-    def __call__(self, propagated: Tensor, weights: SigmaWeights, chol_q: Tensor) -> Predicted:
-        """Return the predicted belief."""
-        ...
-
-
-class Update(Protocol):
-    """Condition a prior on the measurement row y (B, M), NaN where a component is missing."""
-
-    def __call__(
-        self,
-        prior: Belief,
-        images: Tensor,
-        y: Tensor,
-        residual: Residual,
-        weights: SigmaWeights,
-        chol_r: Tensor,
-    ) -> Updated:
-        """Return the posterior; images (B, S, M) are the measured sigma points of the prior."""
-        ...
-
-
-class Read(Protocol):
-    """Condition a prior on a row y (B, M) of the first M components of the state, without sigma points."""
-
-    def __call__(self, prior: Belief, y: Tensor, weights: SigmaWeights, chol_r: Tensor) -> Updated | None:
-        """Return the posterior, or None if sigma points are required."""
-        ...
+None if sigma points are required.
+"""
 
 
 class Form(NamedTuple):

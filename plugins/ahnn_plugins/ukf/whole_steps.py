@@ -14,8 +14,8 @@ from ahnn.estimation.belief import Belief
 from ahnn.estimation.loop import RunPlan, StepModel, stepper
 from ahnn.estimation.state import FilterState
 from ahnn.estimation.step_records import StepRecord
-from ahnn.rollouts import clock_of
-from ahnn_plugins.ukf.library_runs import RunSteps, done_steps, supported
+from ahnn.estimation.step_runs import StepRun
+from ahnn_plugins.ukf.library_runs import done_steps, supported
 from ahnn_plugins.ukf.unscented_kernel import SigmaPoints
 
 FIRST, MOST = 32, 256
@@ -68,10 +68,12 @@ class WholeSteps:
             end += 1
         measured, rows = self.plan.whole[k:end], self.rows[k:end]
         rows = rows if all(measured) else rows[measured]
-        starts = [state.time, *times[k : end - 1].unbind()] if clock_of(model.flow) else ()
-        own = model.flow, starts, torch.tensor(lengths[k:end], dtype=torch.float64), model.chol_q[None]
-        asked = RunSteps(*own, measured, rows, model.sensor)
-        count, results, self.points = done_steps(state, self.kernel.weights, asked)
+        starts = torch.cat((state.time[None], times[k : end - 1]))
+        run = StepRun(
+            starts, torch.tensor(lengths[k:end], dtype=torch.float64), model.chol_q[None], measured, rows
+        )
+        given = self.kernel.weights, model.flow, run, model.sensor
+        count, results, self.points = done_steps(state, *given)
         if count == end - k:
             self.ahead = min(2 * self.ahead, MOST)
             return _recorded(state, results, measured, times[k + count - 1])
