@@ -13,7 +13,7 @@ import torch
 from torch import nn
 from torch.export import Dim, ExportedProgram, export
 
-from ahnn.errors import UserError
+from ahnn.optional_libraries import library
 
 INPUT, CLOCK, OUTPUT = "states", "clock", "result"
 """Input and output names of the ONNX graphs."""
@@ -66,14 +66,8 @@ def factors(found: ExportedProgram) -> set[float]:
 
 def require_onnx() -> None:
     """Raise UserError if the packages for ONNX are not installed."""
-    try:
-        import onnx  # noqa: F401
-        import onnxscript  # noqa: F401
-    except ImportError as error:
-        message = (
-            f"export: expected the packages onnx and onnxscript; {error}. Install the extra ahnn[export]"
-        )
-        raise UserError(message) from error
+    for package in ("onnx", "onnxscript"):
+        library(package, package, "export", "export")
 
 
 @contextlib.contextmanager

@@ -11,9 +11,9 @@ import numpy as np
 
 from ahnn.arguments import Count, Finite, Positive, checked
 from ahnn.errors import UserError
+from ahnn.optional_libraries import library
 from ahnn.systems import System
 from ahnn.types import Space, Trajectories, Units
-from ahnn_plugins.demonstrations.extras import require
 from ahnn_plugins.demonstrations.segmented_series import segmented
 
 
@@ -43,8 +43,8 @@ class Planets:
         self.samples, self.segments = samples, segments
         units = Units(time="d", position="au", velocity="au/d", energy="au²/d²")
         self.space = Space(name, ("x", "y", "z", "vx", "vy", "vz"), units, frame="ICRF, SUN")
-        require("de421", "ephemeris")
-        self._ephemeris = require("jplephem.ephem", "ephemeris").Ephemeris(require("de421", "ephemeris"))
+        data = library("de421", "de421", "ephemeris", "system")
+        self._ephemeris = library("jplephem.ephem", "jplephem", "ephemeris", "system").Ephemeris(data)
         self._check()
 
     def recipe(self) -> dict[str, Any]:

@@ -13,10 +13,10 @@ import numpy as np
 
 from ahnn.arguments import Count, Positive, checked
 from ahnn.errors import UserError
+from ahnn.optional_libraries import library
 from ahnn.systems import System
 from ahnn.training.objectives import difference_weights
 from ahnn.types import Space, Trajectories, Units
-from ahnn_plugins.demonstrations.extras import require
 from ahnn_plugins.demonstrations.segmented_series import segmented
 
 APART, ORDER = 10.0, 8
@@ -82,15 +82,14 @@ class Satellites:
 
 def element_sets() -> dict[int, tuple[str, str]]:
     """Return both lines of each verification element set, by catalogue number."""
-    require("sgp4", "orbit")
-    text = files("sgp4").joinpath("SGP4-VER.TLE").read_text()
+    text = files(library("sgp4", "sgp4", "orbit", "system")).joinpath("SGP4-VER.TLE").read_text()
     lines = [line[:69] for line in text.splitlines() if line[:2] in ("1 ", "2 ")]
     return {int(one[2:7]): (one, two) for one, two in zip(lines[::2], lines[1::2], strict=True)}
 
 
 def days_since_1950(lines: tuple[str, str]) -> float:
     """Return the epoch of an element set in days after 1950-01-00, 0 h UTC, as in SGP4."""
-    satellite = require("sgp4.api", "orbit").Satrec.twoline2rv(*lines)
+    satellite = library("sgp4.api", "sgp4", "orbit", "system").Satrec.twoline2rv(*lines)
     return (satellite.jdsatepoch - 2433281.5) + satellite.jdsatepochF
 
 
@@ -100,7 +99,7 @@ def moved(lines: tuple[str, str], times: np.ndarray) -> np.ndarray:
     Raises:
         UserError: SGP4 fails.
     """
-    satellite = require("sgp4.api", "orbit").Satrec.twoline2rv(*lines)
+    satellite = library("sgp4.api", "sgp4", "orbit", "system").Satrec.twoline2rv(*lines)
 
     def positions(t: np.ndarray) -> np.ndarray:
         whole = np.full(len(t), satellite.jdsatepoch)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from typing import NamedTuple
 
-from ahnn.errors import UserError
 from ahnn.evaluation.sinks.figure_files import PRINTED, drawn
 from ahnn.progress import track
 from ahnn_plugins.report.collection import Collection
@@ -25,27 +23,6 @@ class Picture(NamedTuple):
     drawing: Drawing
     html: Markup
     files: dict[str, bytes]
-
-
-def require_plotly() -> None:
-    """Check that plotly is available for interactive figures.
-
-    Raises:
-        UserError: plotly is missing.
-    """
-    if find_spec("plotly") is None:
-        message = (
-            "figures: expected the library plotly; received an installation without it. Type "
-            "pip install 'ahnn[report]', or set report.figures=false"
-        )
-        raise UserError(message)
-
-
-def library() -> str:
-    """Return the source of plotly.js and the renderer."""
-    from ahnn_plugins.report.interactive import library as source
-
-    return source()
 
 
 def pictures(collection: Collection) -> list[Picture]:

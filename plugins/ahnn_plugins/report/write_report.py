@@ -11,6 +11,7 @@ from ahnn.arguments import Within, checked
 from ahnn.evaluation.sinks.figure_files import PRINTED, pictures_in
 from ahnn.files import claimed, require_writable, write_atomically
 from ahnn.manifest import remove_own, require_folder
+from ahnn.optional_libraries import library
 from ahnn_plugins.report import many, single
 from ahnn_plugins.report.collection import Collection, collect
 from ahnn_plugins.report.document import page
@@ -18,7 +19,7 @@ from ahnn_plugins.report.grid import Grid
 from ahnn_plugins.report.layout import grid_latex
 from ahnn_plugins.report.markdown import grid_markdown
 from ahnn_plugins.report.markup import safe_name
-from ahnn_plugins.report.pictures import Picture, library, pictures, require_plotly
+from ahnn_plugins.report.pictures import Picture, pictures
 from ahnn_plugins.report.spreadsheet import scores_csv
 
 FILE = "report.html"
@@ -52,7 +53,7 @@ class Report:
             UserError: no runs, a damaged run, an output folder with other content, or plotly is missing.
         """
         if self.figures:
-            require_plotly()
+            library("plotly", "plotly", "report", "figures, unless report.figures=false")
         files = (output / FILE, output / "tables.csv", *earlier(output))
         require_folder(output, "output", files, FOLDERS)
         collection = collect(folders)
@@ -69,6 +70,8 @@ class Report:
 
     def _files(self, collection: Collection, drawings: list[Picture]) -> dict[str, bytes]:
         """Return the contents of all files by name, the self-contained page first."""
+        from ahnn_plugins.report import interactive
+
         is_single = len(collection.entries) == 1
         if is_single:
             grids = single.tables(collection)
@@ -78,7 +81,7 @@ class Report:
             parts = many.sections(collection, grids, drawings, self.confidence)
             grids = many.with_claims(collection, grids, self.confidence)
         title, subtitle = headings(collection)
-        text = page(title, subtitle, parts, library() if drawings else "")
+        text = page(title, subtitle, parts, interactive.library() if drawings else "")
         files = {FILE: text.encode("utf-8", "replace")}
         files["tables.csv"] = scores_csv(collection).encode("utf-8", "replace")
         for name, grid in named(grids).items():

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from ahnn.errors import UserError
-from ahnn_plugins.demonstrations import Planets, Satellites, extras
+from ahnn_plugins.demonstrations import Planets, Satellites
 from ahnn_plugins.demonstrations.satellites import element_sets
 from ahnn_plugins.demonstrations.segmented_series import segmented
 from ahnn_plugins.demonstrations.two_body import kepler
@@ -111,7 +111,7 @@ def test_a_missing_library_is_one_message_that_names_the_extra(monkeypatch):
     for name in ("sgp4", "sgp4.api"):
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(UserError, match=r"package sgp4; .*pip install 'ahnn\[orbit\]'"):
-        extras.require("sgp4.api", "orbit")
+        satellites()
 
 
 def test_recipes_tell_what_determines_the_trajectories():

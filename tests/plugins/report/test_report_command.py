@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import sys
+
 import pytest
 from entry import call
 from runs import reproduction, results, scores, write
 
 from ahnn.evaluation import Row, Who
 from ahnn.files import write_atomically
-from ahnn_plugins.report import pictures
 
 NONE = "report.figures=false"
 
@@ -86,10 +87,10 @@ def test_mistakes_are_one_message_and_write_nothing(run, arguments, said, capsys
 
 
 def test_without_plotly_one_message_says_how_to_get_it(run, capsys, monkeypatch):
-    monkeypatch.setattr(pictures, "find_spec", lambda name: None if name == "plotly" else 1)
+    monkeypatch.setitem(sys.modules, "plotly", None)
     assert call("ahnn.report", str(run)) == 2
     error = capsys.readouterr().err
-    assert error.startswith("ahnn: figures: expected the library plotly")
+    assert error.startswith("ahnn: figures, unless report.figures=false: expected the package plotly")
     assert "pip install 'ahnn[report]'" in error
     assert [path.name for path in run.iterdir()] == ["metrics.json"]
     assert call("ahnn.report", str(run), NONE) == 0

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from torch import Tensor
 
 from ahnn.evaluation.trajectory_figures import SMOOTHING
-from ahnn.labels import quantity
+from ahnn.labels import components, quantity
 from ahnn.metrics import moving_average
 from ahnn_plugins.report.drawing import Drawing, Panel, Series
 from ahnn_plugins.report.figures.curves import curve
 from ahnn_plugins.report.figures.reading import STARTS, Kept
-from ahnn_plugins.report.figures.task import Task, over_seeds, state_labels, time_label
+from ahnn_plugins.report.figures.task import Task, over_seeds, time_label
 
 PAPER = {
     ("mass_spring", False): "9",
@@ -54,7 +54,7 @@ def _norms(task: Task, prefix: str, start: str) -> Drawing:
 
 
 def _components(task: Task, prefix: str, start: str) -> Drawing:
-    labels = [f"error of {label}" for label in state_labels(task.lead)]
+    labels = [f"error of {label}" for label in components(task.lead.space)]
     panels = [_panel(task, f"{prefix}{start}", i, label, smoothed) for i, label in enumerate(labels)]
     name = f"averages_{'ukf_' if prefix else ''}{start}_components"
     title = f"{_title(task, prefix, start, True)}, by component"

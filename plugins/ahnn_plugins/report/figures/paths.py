@@ -5,10 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ahnn.labels import components
 from ahnn_plugins.report.drawing import Drawing, Panel, Series
 from ahnn_plugins.report.figures.curves import cut, path
 from ahnn_plugins.report.figures.reading import Kept, velocities
-from ahnn_plugins.report.figures.task import Task, state_labels
+from ahnn_plugins.report.figures.task import Task
 
 CUT = "A prediction is drawn until it is far from the truth."
 
@@ -24,7 +25,7 @@ def path_drawings(task: Task) -> list[Drawing]:
 def orbits(task: Task) -> Drawing:
     """Draw orbits in space, with the planet to scale if its radius is known."""
     lead = task.lead
-    x, y, z = state_labels(lead)[:3]
+    x, y, z = components(lead.space)[:3]
     radius = float(getattr(lead.system, "r_eq", 0.0))
     series = [path(lead.known, lead.path[:, :3], role="track", hover=_hover(lead, lead.path[:, :3], radius))]
     for run in task.drawn:
@@ -52,7 +53,7 @@ def phase_portrait(task: Task) -> Drawing:
 
 def _flat(task: Task, name: str, title: str, columns: slice) -> Drawing:
     lead, inertia = task.lead, task.lead.space.divisor
-    x, y = state_labels(lead)[columns]
+    x, y = components(lead.space)[columns]
     truth = velocities(lead.path, inertia)[:, columns]
     series = [path(lead.known, truth, role="track", hover={_time(lead): lead.time})]
     for run in task.drawn:

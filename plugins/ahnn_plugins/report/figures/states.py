@@ -5,11 +5,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ahnn.labels import components
 from ahnn_plugins.report.drawing import Drawing, Panel, Series
 from ahnn_plugins.report.figures.curves import curve
 from ahnn_plugins.report.figures.models import ORDER
 from ahnn_plugins.report.figures.reading import Kept, Teeth, velocities
-from ahnn_plugins.report.figures.task import Task, state_labels, time_label
+from ahnn_plugins.report.figures.task import Task, time_label
 from ahnn_plugins.report.scores import plain_filter
 
 WIDE = 3.0
@@ -47,7 +48,7 @@ def _score(run: Kept) -> float:
 
 def _states(task: Task, run: Kept, teeth: Teeth, start: str) -> Drawing:
     panels = []
-    for i, label in enumerate(state_labels(run)):
+    for i, label in enumerate(components(run.space)):
         truth, mean, wide = teeth.truth[:, i], teeth.mean[:, i], WIDE * teeth.deviation[:, i]
         name, slot = f"{run.entry.model} + {run.filter}, ±{WIDE:g}σ", run.slot
         band = mean - wide, mean + wide
@@ -70,7 +71,7 @@ def _states(task: Task, run: Kept, teeth: Teeth, start: str) -> Drawing:
 def _errors(task: Task, run: Kept, teeth: Teeth, start: str) -> Drawing:
     panels = []
     settled = teeth.updates.cumsum(0) > 0
-    for i, label in enumerate(state_labels(run)):
+    for i, label in enumerate(components(run.space)):
         error, wide = (teeth.mean - teeth.truth)[:, i], WIDE * teeth.deviation[:, i]
         name, band = f"{run.entry.model} + {run.filter}: estimate - truth, ±{WIDE:g}σ", (-wide, wide)
         main = curve(name, teeth.time, error, role="filter", slot=run.slot, band=band)
@@ -91,7 +92,7 @@ def _band(task: Task, run: Kept) -> Drawing:
     inertia, panels = run.space.divisor, []
     error = velocities(run.first["true"], inertia) - velocities(run.path, inertia)
     deviations = velocities(run.deviations, inertia)
-    for i, label in enumerate(state_labels(run)):
+    for i, label in enumerate(components(run.space)):
         wide = WIDE * deviations[:, i]
         name, band = f"{run.entry.model}: error, ±{WIDE:g}σ", (-wide, wide)
         series = (curve(name, run.time, error[:, i], slot=run.slot, band=band),)

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ahnn.labels import components
 from ahnn_plugins.report.drawing import Drawing, Kind, Panel
 from ahnn_plugins.report.figures.curves import Band
 from ahnn_plugins.report.figures.models import ordered
@@ -104,11 +103,6 @@ def over_seeds(values: Iterable[Tensor]) -> tuple[Tensor, Band | None]:
 def file_name(name: str) -> str:
     """Return a portable file name."""
     return re.sub(r"[^\w-]+", "_", name, flags=re.ASCII).strip("_")[:60] or "system"
-
-
-def state_labels(run: Kept) -> list[str]:
-    """Return the names of the state components with their units, momenta as velocities if applicable."""
-    return components(run.space)
 
 
 def time_label(run: Kept) -> str:
