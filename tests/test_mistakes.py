@@ -64,7 +64,7 @@ MISTAKES = {
     "recipe=measurements data.noise=0.01 data.emphasis=0.5": "data.emphasis: expected 0, since all segments",
     "recipe=measurements data.noise=0.01 callbacks.best.monitor=val/rollout": "expected val/loss or val/lost",
     "recipe=measurements data.noise=0.01 loss.robust=cauchy": "loss.robust: expected one of none, huber",
-    "model=mlp loss.derivative=1": "model mlp: expected loss=recursive, since a map has no field",
+    "model=mlp loss.derivative=1": "model: expected loss=recursive, since a map has no field",
     "model=hnn_derivative loss.derivative=0": "loss.derivative: expected 1.0 with model hnn_derivative",
     "hydra/launcher=nope": "hydra/launcher: unknown option 'nope'; it takes ahnn_process, ahnn_ray, basic",
     "seed=1,2": "'seed=1,2': expected one value; received several. Add -m to run them all",

@@ -6,7 +6,6 @@ from typing import Any, final
 
 from ahnn.dynamics import make_dynamics
 from ahnn.dynamics.scaling import Kind
-from ahnn.errors import UserError
 from ahnn.models.module import AbstractModel
 
 
@@ -34,8 +33,5 @@ class MLP(AbstractModel):
         loss: dict[str, Any],
     ) -> None:
         options = {"scaling": scaling, "residual": residual, "network": network}
-        if received := {key: loss[key] for key in ("derivative", "stages") if loss.get(key)}:
-            message = f"model mlp: expected loss=recursive, since a map has no field; received {received}"
-            raise UserError(message)
         super().__init__(make_dynamics("map", dof=dof, **options), dof, window, loss)
         self.save_hyperparameters()

@@ -55,21 +55,19 @@ class AbstractModel(LightningModule, ABC):
         loss: options of `LossOptions`, or of `SegmentOptions` for measurements.
 
     Raises:
-        UserError: a loss on derivatives, for dynamics without a field.
+        UserError: a loss on derivatives or on measurements, for dynamics without a field.
     """
 
     def __init__(self, dynamics: Dynamics, dof: int, window: int, loss: dict[str, Any]) -> None:
         super().__init__()
+        received = {key: loss[key] for key in ("derivative", "stages") if loss.get(key)}
+        if received and not has_field(dynamics):
+            message = f"model: expected loss=recursive, since a map has no field; received {received}"
+            raise UserError(message)
         if loss.get("derivative") and dynamics.clock > 1:
             message = (
                 "loss.derivative: expected 0 with controls, whose jumps prevent differences of samples; "
                 f"received {loss['derivative']}. Use loss=recursive"
-            )
-            raise UserError(message)
-        if loss.get("derivative") and not has_field(dynamics):
-            message = (
-                f"model {type(self).__name__.lower()}: expected loss.derivative=0, since its dynamics have "
-                f"no field; received {loss['derivative']}. Use loss=recursive"
             )
             raise UserError(message)
         self.dynamics = dynamics

@@ -6,7 +6,6 @@ from typing import Any, Literal, final
 
 from ahnn.dynamics import make_dynamics
 from ahnn.dynamics.symplectic_map import Conformal
-from ahnn.errors import UserError
 from ahnn.models.module import AbstractModel
 
 
@@ -42,8 +41,5 @@ class SymplecticModel(AbstractModel):
         options: dict[str, Any] = {"scaling": scaling, "layers": layers, "network": network}
         given = {"form": form, "shears": shears}
         options |= {key: value for key, value in given.items() if value is not None}
-        if received := {key: loss[key] for key in ("derivative", "stages") if loss.get(key)}:
-            message = f"model {kind}: expected loss=recursive, since a map has no field; received {received}"
-            raise UserError(message)
         super().__init__(make_dynamics(kind, dof=dof, **options), dof, window, loss)
         self.save_hyperparameters()

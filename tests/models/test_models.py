@@ -171,5 +171,5 @@ def test_dynamics_without_a_field_have_no_loss_on_derivatives():
     class Plugin(AbstractModel):
         pass
 
-    with pytest.raises(UserError, match=r"model plugin: expected loss.derivative=0.*no field; received 0.8"):
+    with pytest.raises(UserError, match=r"loss=recursive, .* has no field; received {'derivative': 0.8}"):
         Plugin(Shear(), 1, 3, defaults("ahnn")["loss"] | {"derivative": 0.8})
