@@ -24,7 +24,7 @@ from torch import Tensor
 from ahnn.dynamics.flow_at_time import wrapped
 from ahnn.estimation.belief import Belief, leading
 from ahnn.estimation.results import FilterResult, SmootherResult
-from ahnn.measurements import Measurement, Time, periods, residual
+from ahnn.measurements import DerivedMeasurement, Measurement
 from ahnn.types import Flow, TimeStep
 
 
@@ -99,28 +99,11 @@ class ForceError(NamedTuple):
 
     def measurement(self, measurement: Measurement) -> Measurement:
         """Return a measurement model of augmented states that uses their first 2 n components."""
-        return OfStates(measurement, lambda x: x[..., : x.shape[-1] // 3 * 2])
+        return DerivedMeasurement(measurement, lambda x, t: measurement(x[..., : x.shape[-1] // 3 * 2], t))
 
     def _kept(self, dt: TimeStep) -> Tensor:
         """Return the fraction of e that remains after a step."""
         return torch.exp(-torch.as_tensor(dt / self.memory, dtype=torch.float64))
-
-
-class OfStates:
-    """Measurement model applied to the leading components of augmented states."""
-
-    def __init__(self, model: Measurement, states: Callable[[Tensor], Tensor]) -> None:
-        self.model, self.names, self.units = model, model.names, model.units
-        self.periods = periods(model)
-        self._states = states
-
-    def __call__(self, x: Tensor, t: Time) -> Tensor:
-        """Return the measurements (..., M) of the augmented states x."""
-        return self.model(self._states(x), t)
-
-    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return y - y_pred as defined by the model."""
-        return residual(self.model, y, y_pred)
 
 
 def of_states(result: FilterResult, size: int) -> FilterResult:

@@ -10,7 +10,7 @@ from torch import Tensor
 from ahnn.dynamics.flow_at_time import at, of_members
 from ahnn.dynamics.transition import transition
 from ahnn.estimation.estimator import S
-from ahnn.measurements import Measurement, Position, State, Time, periods, residual
+from ahnn.measurements import DerivedMeasurement, Measurement, Position, State, Time
 from ahnn.types import Flow, TimeStep
 
 TIMELESS = (Position, State)
@@ -41,30 +41,13 @@ class MemberFlow(NamedTuple):
         return transition(at(self.flow, self.times), x, dt * self.lengths)
 
 
-class MemberMeasurement:
-    """Measurement model with an individual time for each of B members.
-
-    Args:
-        model: measurement model.
-        times: (B,) measurement times.
-    """
-
-    def __init__(self, model: Measurement, times: Tensor) -> None:
-        self.model, self.names, self.units = model, model.names, model.units
-        self.periods, self.times = periods(model), times
-
-    def __call__(self, x: Tensor, t: Time) -> Tensor:  # noqa: ARG002 - each member has its own times
-        """Return the measurements (B, ..., M) of the states x (B, ..., D)."""
-        return self.model(x, self.times.reshape(-1, *(1,) * (x.ndim - 2)).expand(x.shape[:-1]))
-
-    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return y - y_pred as defined by the model."""
-        return residual(self.model, y, y_pred)
-
-
 def measured_at(model: Measurement, times: Tensor) -> Measurement:
     """Bind a model to times (B,) of B members; a time-independent model is returned unchanged."""
-    return model if type(model) in TIMELESS else MemberMeasurement(model, times)
+
+    def measured(x: Tensor, _t: Time) -> Tensor:
+        return model(x, times.reshape(-1, *(1,) * (x.ndim - 2)).expand(x.shape[:-1]))
+
+    return model if type(model) in TIMELESS else DerivedMeasurement(model, measured)
 
 
 def member_rows(state: S, chosen: Tensor) -> S:

@@ -19,8 +19,7 @@ from ahnn.dynamics import Dynamics, HasField
 from ahnn.dynamics.derivatives import field_jacobian
 from ahnn.dynamics.flow_at_time import wrapped
 from ahnn.estimation.belief import Belief
-from ahnn.estimation.force_error import OfStates
-from ahnn.measurements.base import Measurement
+from ahnn.measurements import DerivedMeasurement, Measurement
 from ahnn.types import Flow, TimeStep
 
 
@@ -88,7 +87,7 @@ class ParameterError(NamedTuple):
 
     def measurement(self, measurement: Measurement) -> Measurement:
         """Return a measurement model of augmented states that uses their first D components."""
-        return OfStates(measurement, lambda x: x[..., : -self.added])
+        return DerivedMeasurement(measurement, lambda x, t: measurement(x[..., : -self.added], t))
 
 
 def field_columns(dynamics: Dynamics, directions: Tensor) -> Callable[[Tensor], Tensor]:

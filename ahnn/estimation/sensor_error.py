@@ -23,7 +23,7 @@ from ahnn.dynamics.flow_at_time import wrapped
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.covariances import Factor
 from ahnn.estimation.process_model import Process, factored
-from ahnn.measurements import Biases, Measurement, Time, periods, residual
+from ahnn.measurements import Biases, DerivedMeasurement, Measurement, Time
 from ahnn.types import Flow, TimeStep
 
 LENGTHS = 1000
@@ -98,7 +98,13 @@ class SensorError(NamedTuple):
 
     def measurement(self, measurement: Measurement, sensor: str = "") -> Measurement:
         """Return the measurement model of augmented states from a model of the other components."""
-        return Biased(measurement, self.mixing(len(measurement.names), sensor))
+        mixing = self.mixing(len(measurement.names), sensor)
+
+        def biased(x: Tensor, t: Time) -> Tensor:
+            state, errors = x.split((x.shape[-1] - self.added, self.added), dim=-1)
+            return measurement(state, t) + errors @ mixing.to(x)
+
+        return DerivedMeasurement(measurement, biased)
 
     def mixing(self, size: int, sensor: str = "") -> Tensor:
         """Return the matrix (K, M) that maps row vectors of errors to the M components of a sensor."""
@@ -136,20 +142,3 @@ class SensorError(NamedTuple):
     def _kick(self, dt: float) -> Tensor:
         """Return the standard deviations (K,) of the error increments of a step."""
         return self.deviations * (-torch.expm1(-2.0 * dt / self.memories)).sqrt()
-
-
-class Biased:
-    """Measurement model that adds sensor errors, the last components of augmented states."""
-
-    def __init__(self, model: Measurement, mixing: Tensor) -> None:
-        self.model, self.names, self.units = model, model.names, model.units
-        self.periods, self.mixing = periods(model), mixing
-
-    def __call__(self, x: Tensor, t: Time) -> Tensor:
-        """Return the measurements (..., M) of the augmented states x (..., D + K)."""
-        state, errors = x.split((x.shape[-1] - len(self.mixing), len(self.mixing)), dim=-1)
-        return self.model(state, t) + errors @ self.mixing.to(x)
-
-    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return y - y_pred as defined by the model."""
-        return residual(self.model, y, y_pred)

@@ -10,6 +10,7 @@ from ahnn.measurements.angles import continuous, nearest, periods, residual, wra
 from ahnn.measurements.base import Locating, Measurement, Sighted, Sloped, Time, observe
 from ahnn.measurements.biases import Biases
 from ahnn.measurements.daily_axes import DailyAxes
+from ahnn.measurements.derived import DerivedMeasurement
 from ahnn.measurements.gnss import GnssRange
 from ahnn.measurements.ground_station import GroundStation
 from ahnn.measurements.noise import noise_deviations
@@ -24,6 +25,7 @@ from ahnn.measurements.station_file import StationsOfFile
 __all__ = [
     "Biases",
     "DailyAxes",
+    "DerivedMeasurement",
     "GnssRange",
     "GroundStation",
     "Instrument",

@@ -17,7 +17,7 @@ from ahnn.errors import UserError
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.estimator import SensorModel
 from ahnn.estimation.linalg import tria
-from ahnn.measurements import Measurement, Time, periods, residual
+from ahnn.measurements import DerivedMeasurement, residual
 from ahnn.types import Flow, TimeStep
 from ahnn_plugins.ukf.parameters import SigmaWeights, UnscentedParameters
 from ahnn_plugins.ukf.sigma_points import draw, unscented_weights
@@ -96,20 +96,5 @@ def linear_sensor(sensor: SensorModel, t: float, belief: Belief, weights: SigmaW
     outer = residual(sensor.measurement, images[:, 1:], images[:, :1])
     affine = regression(belief, images[:, 0], outer, weights)
     chol_r = tria(torch.cat((affine.rest, sensor.chol_r.mT), dim=1))
-    return sensor._replace(measurement=_Line(affine, sensor.measurement), chol_r=chol_r)
-
-
-class _Line:
-    """Affine measurement model of B members, with residuals of the original model."""
-
-    def __init__(self, affine: AffineModel, model: Measurement) -> None:
-        self.affine, self.model, self.names, self.units = affine, model, model.names, model.units
-        self.periods = periods(model)
-
-    def __call__(self, x: Tensor, t: Time) -> Tensor:  # noqa: ARG002
-        """Return the measurements (B, S, M) of the states x (B, S, D)."""
-        return self.affine(x)
-
-    def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:
-        """Return y - y_pred as defined by the model."""
-        return residual(self.model, y, y_pred)
+    line = DerivedMeasurement(sensor.measurement, lambda x, _t: affine(x))
+    return sensor._replace(measurement=line, chol_r=chol_r)
