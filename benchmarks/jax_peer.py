@@ -96,7 +96,7 @@ def diffrax_rollout(net: eqx.Module, start: np.ndarray, dt: float, steps: int) -
         )
         interpolation_cls = diffrax.ThirdOrderHermitePolynomialInterpolation.from_k
 
-        def order(self, terms: object) -> int:  # noqa: ARG002
+        def order(self, terms: object) -> int:
             return 4
 
     def field(_: jax.Array, x: jax.Array, energy: eqx.Module) -> jax.Array:

@@ -24,7 +24,7 @@ R = torch.tensor([[0.1, 0.02], [0.02, 0.2]], dtype=F64)
 class Linear:
     names, units = ("a", "b"), ("1", "1")
 
-    def __call__(self, x, t):  # noqa: ARG002
+    def __call__(self, x, t):
         return x @ H.mT
 
 
@@ -106,7 +106,7 @@ def steps_of(estimator, state, flow, rows, measurement, q, r, dt):
 class Square:
     names, units = ("square",), ("1",)
 
-    def __call__(self, x, t):  # noqa: ARG002
+    def __call__(self, x, t):
         return x.square() / 20
 
 

@@ -73,7 +73,6 @@ class ParquetRows:
 
     def resume(self, number: int, place: int, digest: str) -> None:
         """Resume after a row; raises UserError if the file has changed."""
-        del place
         if digest != self.digest:
             message = (
                 f"measurements: expected the file whose {number} rows were processed before; received a "
@@ -87,7 +86,6 @@ class ParquetRows:
 
     def close(self, *, discard: bool = False) -> None:
         """Close the file."""
-        del discard
         self.file.close()
 
 
@@ -136,7 +134,6 @@ class ParquetParts:
 
     def remove(self, path: str) -> None:
         """Remove the output."""
-        del path
         for file in self._files():
             remove_own(file)
         if not any(self.folder.iterdir()):

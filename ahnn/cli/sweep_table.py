@@ -19,14 +19,12 @@ class SweepTable(Callback):
 
     def on_job_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Record the file written by Hydra before the first job."""
-        del kwargs
         file = Path(config.hydra.sweep.dir) / FILE
         if config.hydra.mode == RunMode.MULTIRUN and file.is_file():
             record(file, digest_of(file.read_bytes()))
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
         """Print the table of numbered job folders in job order, marking jobs without results."""
-        del kwargs
         from ahnn.evaluation.sweep_summary import sweep_table
         from ahnn.evaluation.terminal import show
 

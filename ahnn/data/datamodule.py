@@ -223,7 +223,6 @@ class WindowDataModule(LightningDataModule):
 
     def transfer_batch_to_device(self, batch: Any, device: torch.device, dataloader_idx: int) -> Any:
         """Return the batch unchanged: loaders gather batches on the device."""
-        del device, dataloader_idx
         return batch
 
     def _loader(

@@ -17,6 +17,5 @@ class Recorded(Sensor):
 
     def measure(self, truth: Trajectories, part: int) -> Observations:
         """Return the recorded values (B, T, M), NaN where missing; angles are unwrapped."""
-        del part
         values = self.measurement(truth.states, truth.times)
         return Observations(continuous(values, periods(self.measurement)), truth.times)

@@ -120,7 +120,6 @@ class Steered(NamedTuple):
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Raise UserError: the start time is unknown."""
-        del x, dt
         raise UserError(NO_TIME)
 
 
@@ -176,7 +175,6 @@ class Wrapped(NamedTuple):
 
     def __call__(self, x: Tensor, dt: TimeStep) -> Tensor:
         """Raise UserError: the start time is unknown."""
-        del x, dt
         raise UserError(NO_TIME)
 
 

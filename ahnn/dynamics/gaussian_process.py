@@ -113,7 +113,6 @@ class GaussianProcess(Network):
         activation: Literal["fourier"] = "fourier",
     ) -> None:
         super().__init__()
-        del depth, activation
         require_memory("network: width", "waves", 8.0 * 2 * width * (inputs + outputs))
         self.activation = ACTIVATIONS["sine"]
         self.hidden = nn.ModuleList([Waves(inputs, width)])

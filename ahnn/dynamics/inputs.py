@@ -165,7 +165,6 @@ class Cartesian(nn.Module):
 
     def pullback(self, q: Tensor, gradient: Tensor) -> Tensor:
         """Return the gradient with respect to the physical components, shape (..., n)."""
-        del q
         return self.affine.pullback(gradient)
 
     def linearised(self, q: Tensor) -> tuple[Tensor, Pullback]:
@@ -174,7 +173,6 @@ class Cartesian(nn.Module):
 
     def curvature(self, q: Tensor, gradient: Tensor) -> Tensor:
         """Return zeros, shape (..., n, n): the map is affine."""
-        del gradient
         return q.new_zeros(*q.shape, q.shape[-1])
 
 

@@ -35,7 +35,6 @@ class GaussianFilter(MemberFilter[FilterState]):
 
     def stepper(self, kernel: Kernel, plan: RunPlan, *, smoothing: bool) -> FilterLoop[FilterState]:
         """Return the step function of a run for a kernel."""
-        del plan
         return stepper(kernel, smoothing=smoothing)
 
     def steps(self, state: FilterState, plan: RunPlan, *, smoothing: bool) -> FilterLoop[FilterState]:

@@ -82,7 +82,6 @@ class ParameterError(NamedTuple):
 
     def process_noise(self, additive: Tensor, dt: float) -> Tensor:
         """Return Q of augmented states for one step; the parameters are constant."""
-        del dt
         return torch.nn.functional.pad(additive, (0, self.added, 0, self.added))
 
     def measurement(self, measurement: Measurement) -> Measurement:

@@ -76,7 +76,6 @@ class SampleFilter(MemberFilter[SampleState]):
 
     def law(self, before: Tensor, images: Tensor, chol_q: Tensor) -> Backward | None:
         """Return the backward law from samples and images (B, N, D), with Q added; None if unsupported."""
-        del before, images, chol_q
 
     @abstractmethod
     def conditioned(

@@ -93,13 +93,11 @@ class OverrideCell:
 
     def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
         """Return the widths of the widest override and of all in one line."""
-        del console
         each = [len(text) for text in self.texts] or [0]
         return Measurement(max(each), sum(each) + len(each) - 1).with_maximum(options.max_width)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Yield the text."""
-        del console
         wide = any(len(text) > options.max_width for text in self.texts)
         cut = [
             text.replace("=", "=\n  ", 1) if len(text) > options.max_width else text for text in self.texts

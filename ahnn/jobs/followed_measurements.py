@@ -57,7 +57,6 @@ class FollowedMeasurements:
 
     def __call__(self, number: int, reading: Reading, estimate: Estimate, counts: Counter[str]) -> None:
         """Record the innovation of an accepted reading; see `ahnn.assimilation.session.Watcher`."""
-        del number, counts
         if estimate.innovation is None or estimate.outcome != "taken":
             return
         station = self.data.stations.index(reading.sensor)

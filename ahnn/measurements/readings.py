@@ -28,11 +28,11 @@ class Position(Differing):
         self.names = names or tuple(f"q{i + 1}" for i in range(degrees_of_freedom))
         self.units = of_each(unit, degrees_of_freedom)
 
-    def __call__(self, x: Tensor, t: Time) -> Tensor:  # noqa: ARG002
+    def __call__(self, x: Tensor, t: Time) -> Tensor:
         """Return the positions (..., n) of the states x (..., 2n)."""
         return x[..., : len(self.names)]
 
-    def locate(self, y: Tensor, t: Time) -> Tensor:  # noqa: ARG002
+    def locate(self, y: Tensor, t: Time) -> Tensor:
         """Return the positions themselves, shape (..., n)."""
         return y
 
@@ -55,11 +55,11 @@ class State(Differing):
         self.names = names or tuple(f"{kind}{i + 1}" for kind in "qp" for i in range(degrees_of_freedom))
         self.units = sum((of_each(unit, degrees_of_freedom) for unit in units), ())
 
-    def __call__(self, x: Tensor, t: Time) -> Tensor:  # noqa: ARG002
+    def __call__(self, x: Tensor, t: Time) -> Tensor:
         """Return the states (..., 2n) themselves."""
         return x
 
-    def locate(self, y: Tensor, t: Time) -> Tensor:  # noqa: ARG002
+    def locate(self, y: Tensor, t: Time) -> Tensor:
         """Return the states themselves, shape (..., 2n)."""
         return y
 

@@ -142,7 +142,6 @@ class EnsembleModel(LightningModule):
 
     def validation_step(self, batch: Any, batch_idx: int) -> None:
         """Add the metrics of a batch to those of each member."""
-        del batch_idx
         size = float(len(batch.start) if isinstance(batch, Window) else len(batch.values))
 
         def judged(model: AbstractModel) -> dict[str, Tensor]:

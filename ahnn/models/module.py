@@ -209,7 +209,6 @@ class AbstractModel(LightningModule, ABC):
 
     def validation_step(self, batch: Any, batch_idx: int) -> None:
         """Log the metrics of the validation objective: `val/loss`, and `val/one_step` or `val/lost`."""
-        del batch_idx
         size = len(batch.start) if isinstance(batch, Window) else len(batch.values)
         size = float(size if getattr(batch, "weight", 1) else 0)  # Lightning rounds the mean of integers
         options: dict[str, Any] = {"batch_size": size, "on_epoch": True, "logger": False, "sync_dist": True}

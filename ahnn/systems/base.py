@@ -93,7 +93,6 @@ class System(ABC):
         Raises:
             UserError: the system defines neither this method nor `hamiltonian` with `separable` False.
         """
-        del q
         message = (
             f"system {self.name}: expected the method `force`; received none. Define -dV/dq, or, where H is "
             "not T(p) + V(q), override `hamiltonian` and set `separable` to False"
@@ -124,7 +123,6 @@ class System(ABC):
 
         Systems with controls override this method.
         """
-        del times, count, generator
         return None
 
     @property
@@ -163,7 +161,6 @@ class System(ABC):
 
     def compiled(self, flow: Flow, longest: float) -> Flow:
         """Return the exact flow with steps of at most `longest`, in a faster implementation if available."""
-        del longest
         return flow
 
     def durations(self, x: Tensor) -> Tensor:

@@ -83,7 +83,6 @@ class _Unfitted(WideProblem):
         self, trial: Trial, starts: Tensor | None, batch: Segment, steps: Steps, hopeless: float
     ) -> Fitted:
         """Follow the guesses."""
-        del starts, hopeless
         states, sums = followed(trial, guess(batch), batch, steps)
         return Fitted(states, torch.zeros_like(sums))
 

@@ -34,12 +34,10 @@ class StepTaken(NamedTuple):
 
     def loss(self, theta: Tensor) -> Tensor:
         """Return the mean squared residual before the step."""
-        del theta
         return self.mean_square
 
     def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
         """Return equations without a block, which leave the parameters as they are."""
-        del theta, sizes
         return Equations(self.mean_square, 1, [])
 
     def both(self) -> tuple[LeastSquaresProblem, None]:

@@ -190,7 +190,6 @@ class ShootingProblem:
     @torch.no_grad()
     def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
         """Return loss and normal equations without initial states; none if no segment converged."""
-        del sizes
         if not len(self.starts):
             return Equations(theta.new_tensor(HOPELESS), 1, [])
         here, now = self._linearised(theta)
@@ -230,7 +229,6 @@ class ShootingProblem:
 
     def with_more(self, of_theta: Tensor, here: Fitted, part: slice) -> Tensor:
         """Append columns of further unknowns to derivatives of residuals (B, K + 1, M, P)."""
-        del here, part
         return of_theta
 
     @torch.no_grad()

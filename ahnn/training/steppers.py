@@ -50,7 +50,6 @@ class FirstOrder:
         self, objective: Objective, loss: nn.Module, dynamics: Dynamics, batch: Any, optimizer: Any
     ) -> Tensor:
         """Return the loss of the batch, with its graph."""
-        del optimizer
         value = loss(objective.residuals(dynamics, batch))
         weight = getattr(batch, "weight", 1)
         return value if weight == 1 else value * weight
@@ -88,7 +87,7 @@ class SecondOrder:
         self, objective: Objective, loss: nn.Module, dynamics: Dynamics, batch: Any, optimizer: Any
     ) -> Tensor:
         """Take the step and return the mean squared residual before it."""
-        del loss  # sum of squares, without Huber's linear tails
+        # The loss is the sum of squares, without Huber's linear tails.
         return optimizer.step(lambda: problems(objective, dynamics, batch))
 
 

@@ -187,7 +187,6 @@ class WeakProblem:
     @torch.no_grad()
     def equations(self, theta: Tensor, sizes: Sequence[int]) -> Equations:
         """Return loss and normal equations."""
-        del sizes
         field = self._at(theta)
         return accumulated(
             lambda part: self._rows(theta, field, part), self._parts(len(theta)), theta, self.count

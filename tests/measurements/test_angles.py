@@ -48,7 +48,7 @@ class Encoder:
     def __init__(self, units=("rad", "deg")):
         self.units = units
 
-    def __call__(self, x, t):  # noqa: ARG002
+    def __call__(self, x, t):
         scale = torch.tensor([1.0, 2.0], dtype=x.dtype)
         degrees = torch.tensor([math.degrees(1) if unit == "deg" else 1.0 for unit in self.units]).to(x)
         return x[..., :1] * scale * degrees

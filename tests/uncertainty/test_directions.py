@@ -25,7 +25,7 @@ class Bent:
 
     names, units = ("a", "b"), ("1", "1")
 
-    def __call__(self, x, t):  # noqa: ARG002
+    def __call__(self, x, t):
         q, p = x.unbind(-1)
         return torch.stack((q + 0.2 * q * q, q * p), -1)
 

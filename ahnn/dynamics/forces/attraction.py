@@ -32,7 +32,6 @@ class CentralAttraction(Force):
 
     def __init__(self, dof: int, controls: int = 0, *, mu: Positive, mass: Positive = 1.0) -> None:
         super().__init__()
-        del dof, controls
         self.strength = mass * mu
 
     def forward(self, at: Instant) -> Tensor:
@@ -78,7 +77,6 @@ class Oblateness(Force):
         mass: Positive = 1.0,
     ) -> None:
         super().__init__()
-        del controls
         if dof != 3:
             message = f"oblateness: expected three coordinates; received {dof}"
             raise UserError(message)

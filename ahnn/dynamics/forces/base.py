@@ -69,5 +69,4 @@ class Force(nn.Module, ABC):
 
     def potential(self, at: Instant) -> Tensor | None:
         """Return the potential energy, shape (...), of a conservative force; None by default."""
-        del at
         return None

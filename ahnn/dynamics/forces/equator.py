@@ -50,7 +50,6 @@ class EllipticEquator(Force):
         sine: Finite | None = None,
     ) -> None:
         super().__init__()
-        del controls
         if dof != 3 or (cosine is None) != (sine is None):
             message = (
                 "elliptic_equator: expected three coordinates, and both cosine and sine or neither; received "

@@ -43,7 +43,6 @@ class Forcing(Force):
         sine: list[Finite] | None = None,
     ) -> None:
         super().__init__()
-        del controls
         self.frequency, self.known = frequency, None
         self.assumes = f"forcing at {frequency:g} rad per unit of time"
         self.register_buffer("unit", torch.ones(dof))

@@ -52,7 +52,6 @@ class Friction(Force):
         scaling: Kind = "minmax",
     ) -> None:
         super().__init__()
-        del controls
         self.dof, self.of, self.known = dof, of, None
         self.assumes = "friction"
         if of != "constant" and coefficient is not None:

@@ -44,7 +44,6 @@ class OrbitalForce(Force):
         degree: Annotated[int, Within(0, 5)] = 2,
     ) -> None:
         super().__init__()
-        del controls
         if dof != 3:
             message = f"orbital: expected three coordinates; received {dof}"
             raise UserError(message)

@@ -30,7 +30,6 @@ class Spring(Force):
 
     def __init__(self, dof: int, controls: int = 0, *, stiffness: Finite | list[list[Finite]]) -> None:
         super().__init__()
-        del controls
         diagonal = not isinstance(stiffness, list)
         rows = [[stiffness * (i == j) for j in range(dof)] for i in range(dof)] if diagonal else stiffness
         if [len(row) for row in rows] != [dof] * dof or rows != [list(c) for c in zip(*rows, strict=True)]:
@@ -44,7 +43,6 @@ class Spring(Force):
 
     def variation(self, at: Instant, by: Instant) -> Tensor:
         """Return the variation -K dq, shape (B, R, n)."""
-        del at
         return self(by)
 
     def potential(self, at: Instant) -> Tensor:

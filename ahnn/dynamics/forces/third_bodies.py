@@ -67,7 +67,6 @@ class ThirdBodies(Force):
         mass: Positive = 1.0,
     ) -> None:
         super().__init__()
-        del controls
         if dof != 3 or len(span) != 2 or span[0] >= span[1] or not bodies:
             message = (
                 "third_bodies: expected bodies, three coordinates and a span that ends after it begins; "

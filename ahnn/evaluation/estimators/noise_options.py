@@ -60,7 +60,6 @@ class ParameterOptions:
 
     def added(self, dof: int) -> int:
         """Return the maximum number of additional state components."""
-        del dof
         return MOST
 
 

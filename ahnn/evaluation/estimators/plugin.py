@@ -146,14 +146,12 @@ class EstimatorEvaluation:
 
     def require_constants(self, setting: Setting, steps: int, size: int) -> None:
         """Check that the estimator's constants are valid for states of a given maximum size."""
-        del setting, steps
         self.estimator.start(initial_belief(torch.zeros(1, size), torch.eye(size)))
 
     def tried(
         self, model: Filter, case: Case, setting: Setting, findings: Findings
     ) -> list[tuple[Who, Filter]]:
         """Return further filters of the model, such as a tuned one."""
-        del model, case, setting, findings
         return []
 
     @torch.no_grad()

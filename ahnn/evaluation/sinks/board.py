@@ -30,5 +30,4 @@ class EventBoard:
 
     def finalize(self, status: str) -> None:
         """Close the file."""
-        del status
         self.experiment.close()

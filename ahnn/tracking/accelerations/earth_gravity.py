@@ -31,7 +31,6 @@ class EarthGravity:
 
     def __call__(self, t: float, r: Array, v: Array, p: Array) -> Acceleration:
         """Return the attraction at a state; see `AccelerationTerm`."""
-        del v, p
         turn = self._rotation.matrices(np.array([t]))[0]
         field = self.field
         series = harmonics_at(r @ turn.T, field.radius, self._recursion).view(np.float64) @ self._series

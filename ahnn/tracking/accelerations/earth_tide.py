@@ -31,7 +31,6 @@ class EarthTide:
 
     def __call__(self, t: float, r: Array, v: Array, p: Array) -> Acceleration:
         """Return the attraction at a state; see `AccelerationTerm`."""
-        del v, p
         body = self.position(t)
         away = np.linalg.norm(body)
         e, square = body / away, inner(r, r)

@@ -31,7 +31,6 @@ class RadiationPressure:
 
     def __call__(self, t: float, r: Array, v: Array, p: Array) -> Acceleration:
         """Return the acceleration at a state; derivatives neglect the gradient of the shadow."""
-        del v
         sun = self.sun(t)
         line = r - sun
         distance = np.sqrt(inner(line, line))

@@ -24,7 +24,6 @@ class SchwarzschildTerm:
 
     def __call__(self, t: float, r: Array, v: Array, p: Array) -> Acceleration:
         """Return the acceleration at a state; see `AccelerationTerm`."""
-        del t, p
         distance, along = np.sqrt(inner(r, r)), inner(r, v)
         factor = self.mu / (LIGHT**2 * distance**3)
         radial = 4 * self.mu / distance - inner(v, v)

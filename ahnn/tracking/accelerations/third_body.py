@@ -24,7 +24,6 @@ class ThirdBody:
 
     def __call__(self, t: float, r: Array, v: Array, p: Array) -> Acceleration:
         """Return the attraction at a state; see `AccelerationTerm`."""
-        del v, p
         body = self.position(t)
         line = body - r
         distance = np.sqrt(inner(line, line))

@@ -55,7 +55,6 @@ class BestPoint(Checkpoint):
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Write the checkpoint if the value improved."""
-        del pl_module
         if trainer.state.fn != "fit":
             return
         self.latest, self.judged = float(trainer.callback_metrics[self.monitor]), True
@@ -65,7 +64,6 @@ class BestPoint(Checkpoint):
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Raise if no validation had a finite value, so that there are no best weights."""
-        del trainer, pl_module
         if self.judged and not math.isfinite(self.best):
             require_finite_loss(self.latest, f"in every validation ({self.monitor})")
 
@@ -99,7 +97,6 @@ class ResumePoint(Checkpoint):
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Install deferred signal handling, for single-process training."""
-        del pl_module
         if trainer.world_size > 1 or threading.current_thread() is not threading.main_thread():
             return
         for number in TERMINATIONS:
@@ -108,13 +105,11 @@ class ResumePoint(Checkpoint):
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Write the checkpoint if training ended before its first validation, for later evaluation."""
-        del pl_module
         if not self.path.exists():
             trainer.save_checkpoint(self.path)
 
     def teardown(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
         """Restore the signal handlers."""
-        del trainer, pl_module, stage
         while self._before:
             signal.signal(*self._before.popitem())
 
@@ -122,7 +117,6 @@ class ResumePoint(Checkpoint):
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
         """Write the checkpoint when due, except on the last batch of an epoch."""
-        del outputs, batch, batch_idx
         due = trainer.global_step % self.every == 0 or self._signal is not None
         if due and not trainer.is_last_batch:
             require_finite_weights(pl_module, f"at step {trainer.global_step}")
@@ -130,7 +124,6 @@ class ResumePoint(Checkpoint):
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Write the checkpoint at the end of an epoch."""
-        del pl_module
         if trainer.state.fn == "fit" and not trainer.sanity_checking:
             self._write(trainer)
 
@@ -140,7 +133,6 @@ class ResumePoint(Checkpoint):
             raise Stopped(self._signal)
 
     def _request(self, number: int, frame: Any) -> None:
-        del frame
         if self._signal is not None:
             raise Stopped(number)
         self._signal = number

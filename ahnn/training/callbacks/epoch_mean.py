@@ -32,7 +32,6 @@ class EpochMean(Callback):
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
         """Add the weights of this step, and set the mean after the last step."""
-        del outputs, batch, batch_idx
         epochs = trainer.max_epochs or 1
         if trainer.current_epoch < (1 - self.fraction) * epochs:
             return

@@ -48,7 +48,6 @@ class MemberPoints(Checkpoint):
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Raise if a member had no finite value in any validation, so that it has no best weights."""
-        del trainer, pl_module
         for folder, best, latest in zip(self.folders, self.best, self.latest, strict=True):
             if self.judged and not math.isfinite(best):
                 require_finite_loss(latest, f"in every validation ({self.monitor}) of {folder.name}")

@@ -39,7 +39,6 @@ class TrainingProgress(ProgressBar):
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Open the bar at the step where training starts or resumes."""
-        del pl_module
         if not self._shown:
             return
         self._bar = progress_bar(TextColumn("{task.fields[note]}"))
@@ -56,7 +55,6 @@ class TrainingProgress(ProgressBar):
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
         """Update the bar when due."""
-        del pl_module, batch, batch_idx
         if self._bar is None or time.monotonic() < self._due:
             return
         self._due = time.monotonic() + REFRESH_SECONDS
@@ -68,7 +66,6 @@ class TrainingProgress(ProgressBar):
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Log the line of an epoch if there is no bar."""
-        del pl_module
         if self._bar is None or not self._bar.disable or trainer.sanity_checking:
             return
         done, epochs = trainer.current_epoch + 1, int(trainer.max_epochs or 1)
@@ -81,12 +78,10 @@ class TrainingProgress(ProgressBar):
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Close the bar."""
-        del trainer, pl_module
         self._close()
 
     def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
         """Close the bar, so that the message that follows is readable."""
-        del trainer, pl_module, exception
         self._close()
 
     def _close(self) -> None:

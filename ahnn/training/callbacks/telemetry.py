@@ -38,7 +38,6 @@ class Telemetry(Callback):
 
     def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Increase the recording frequency for short training runs."""
-        del pl_module
         total = int(trainer.num_training_batches) * int(trainer.max_epochs or 1)
         self.every = max(1, min(self.most, total // RECORDS))
 
@@ -68,7 +67,6 @@ class Telemetry(Callback):
         self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
         """Record the training loss and the optimiser's step metrics."""
-        del pl_module, batch, batch_idx
         if trainer.global_step % self.every == 0:
             group = trainer.optimizers[0].param_groups[0]
             of_step = {f"train/{name}": float(group[name]) for name in OF_STEP if name in group}
@@ -78,19 +76,16 @@ class Telemetry(Callback):
 
     def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Record the validation metrics, which are complete after the callbacks of the epoch's end."""
-        del pl_module
         metrics = {key: float(value) for key, value in trainer.callback_metrics.items() if "val/" in key}
         self._waiting.append((trainer.global_step, metrics))
         self._write(trainer)
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Write buffered records."""
-        del pl_module
         self._write(trainer)
 
     def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
         """Write buffered records before the training ends."""
-        del pl_module, exception
         self._write(trainer)
 
     def _write(self, trainer: Trainer) -> None:

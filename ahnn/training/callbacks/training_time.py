@@ -19,7 +19,7 @@ class TrainingTime(Callback):
         """Seconds of the fit so far, summed over all processes that ran it."""
         return self.before + time.monotonic() - self.begun
 
-    def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:  # noqa: ARG002
+    def on_fit_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         """Start the clock."""
         self.begun = time.monotonic()
 

@@ -57,7 +57,6 @@ class Chaos:
 
     def check(self, truth: System | None, space: Space, steps: int) -> None:
         """Raise UserError for controlled motion, in which error growth also depends on the controls."""
-        del truth, steps
         if space.controls:
             message = f"plugins.chaos: expected motion without controls; received {', '.join(space.controls)}"
             raise UserError(message)

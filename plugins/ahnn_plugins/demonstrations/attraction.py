@@ -34,7 +34,6 @@ class Attraction:
 
     def check(self, truth: System | None, space: Space, steps: int) -> None:
         """Raise UserError unless there are bodies and the data have three dimensions."""
-        del truth, steps
         if space.dof != 3 or not self.bodies:
             message = f"bodies: expected bodies in three dimensions; received {self.bodies} in {space.dof}"
             raise UserError(message)

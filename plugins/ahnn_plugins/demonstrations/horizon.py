@@ -85,7 +85,6 @@ class Horizon:
 
     def check(self, truth: System | None, space: Space, steps: int) -> None:
         """Raise UserError for data of other dimensions or units, or an arc of invalid length."""
-        del truth
         if space.dof != 3 or (self.beside is not None and space.units != self.beside.units):
             expected = "three dimensions" if self.beside is None else str(self.beside.units)
             message = f"beside: expected data in {expected}; received {space.dof} in {space.units}"

@@ -131,5 +131,4 @@ class ExtendedKalmanFilter(GaussianFilter):
 
     def kernel(self, belief: Belief) -> LinearisedKernel:
         """Return the linearised kernel."""
-        del belief
         return LinearisedKernel(self.iterations)

@@ -152,7 +152,6 @@ class EnsembleKalmanFilter(SampleFilter):
 
     def moments(self, points: Tensor, log_weights: Tensor | None = None) -> Belief:
         """Return mean and covariance of an ensemble, tapered if requested."""
-        del log_weights
         belief = sample_moments(points)
         if self.localisation is None:
             return belief

@@ -119,7 +119,6 @@ class InteractingModels(MemberFilter[MixtureState]):
         smoothing: bool = False,
     ) -> tuple[MixtureState, Backward | None]:
         """Propagate the state over a step ending at `time`; there is no backward law."""
-        del smoothing
         dwell = torch.tensor(self.dwell, dtype=torch.float64, device=chol_q.device)
         step, kernel = mixing(state.log_modes, dwell, dt), self.filter.kernel(state.belief)
         after, moved = state._replace(time=time, steps=state.steps + 1), []

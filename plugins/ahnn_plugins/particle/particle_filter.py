@@ -134,7 +134,6 @@ class ParticleFilter(SampleFilter):
 
     def noise(self, draw: Tensor, points: Tensor) -> Tensor:
         """Return the random numbers unchanged."""
-        del points
         return draw
 
     def moments(self, points: Tensor, log_weights: Tensor) -> Belief:

@@ -72,7 +72,7 @@ class PFLCallback(L.Callback):
         """Raise UserError before training if the monitored metric will not be available."""
         require_monitored("callbacks.pfl.monitor", self.monitor, trainer)
 
-    def on_fit_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:  # noqa: ARG002
+    def on_fit_start(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Start the next series of the trial, or the only one of a run without a trial."""
         self._losses, self._restored = self._restored, []
         self.decision = None
@@ -85,7 +85,7 @@ class PFLCallback(L.Callback):
             self._seed_index = 0 if last is None else last // self._max_epochs + 1
         self._log = DecisionLog(self.run_dir / "pfl.jsonl", self.settings) if trainer.is_global_zero else None
 
-    def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:  # noqa: ARG002
+    def on_validation_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Report the loss, decide and possibly stop the run.
 
         Raises:
@@ -107,7 +107,7 @@ class PFLCallback(L.Callback):
         if trainer.strategy.reduce_boolean_decision(prune, all=False):
             self._stop(trainer)
 
-    def on_fit_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:  # noqa: ARG002
+    def on_fit_end(self, trainer: L.Trainer, pl_module: L.LightningModule) -> None:
         """Append the final loss of a complete run to the record."""
         complete = self._losses and not (self.decision and self.decision.prune)
         if self.record is not None and self.trial is None and trainer.is_global_zero and complete:

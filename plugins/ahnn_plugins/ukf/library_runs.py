@@ -56,8 +56,10 @@ class CalledFlow:
         self.interrupt: BaseException | None = None
 
     def __call__(self, about: int, count: int, x: int, dt: float, out: int) -> int:
-        """Write the points after a step dt; return 0, or 1 if there are none."""
-        del about, count, x, out  # x and out are the memory of `points` and `moved`
+        """Write the points after a step dt; return 0, or 1 if there are none.
+
+        x and out are the memory of `points` and `moved`.
+        """
         try:
             flow = at(self.flow, next(self.starts)) if self.starts else self.flow
             found = propagate(flow, self.points.clone(), dt)

@@ -53,7 +53,7 @@ class TrialCallback(Callback):
         self._trial: optuna.Trial | None = None
         self._lease: Lease | None = None
 
-    def on_job_start(self, config: DictConfig, **kwargs: Any) -> None:  # noqa: ARG002
+    def on_job_start(self, config: DictConfig, **kwargs: Any) -> None:
         """Claim the trial, which is now alive as long as this process."""
         node = config.get("trial")
         if node is None or not _speaks():
@@ -63,7 +63,7 @@ class TrialCallback(Callback):
         self._lease = Lease(open_storage(node.storage), [node.trial_id])
         self._lease.__enter__()
 
-    def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:  # noqa: ARG002
+    def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:
         """Report the outcome of the trial to the study, and mark the folder of a pruned job."""
         if self._trial is None or self._lease is None:
             _forgive_pruning(job_return)

@@ -49,7 +49,7 @@ class ProcessLauncher(Launcher):
         self._running: set[BaseProcess] = set()
         self._ended = False
 
-    def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:  # noqa: ARG002
+    def setup(self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig) -> None:
         """Store Hydra's arguments; the task is invoked through the command line."""
         self.config = config
         self.hydra_context = hydra_context

@@ -19,10 +19,10 @@ class Bearing:
     def __init__(self, distance: Positive) -> None:
         self.distance = distance
 
-    def __call__(self, x: Tensor, t: Time) -> Tensor:  # noqa: ARG002
+    def __call__(self, x: Tensor, t: Time) -> Tensor:
         """Return the angles (..., 1) of the states x (..., 2)."""
         return torch.atan(x[..., :1] / self.distance)
 
-    def locate(self, y: Tensor, t: Time) -> Tensor:  # noqa: ARG002
+    def locate(self, y: Tensor, t: Time) -> Tensor:
         """Return the positions (..., 1); only training on measurements needs it."""
         return self.distance * torch.tan(y)

@@ -33,14 +33,14 @@ H = torch.tensor([[1.0, 0.0, 0.5], [0.0, 1.0, 0.0]], dtype=F64)
 class Linear:
     names, units = ("a", "b"), ("1", "1")
 
-    def __call__(self, x, t):  # noqa: ARG002
+    def __call__(self, x, t):
         return x @ H.mT
 
 
 class Range:
     names, units = ("range",), ("m",)
 
-    def __call__(self, x, t):  # noqa: ARG002
+    def __call__(self, x, t):
         return (1.0 + x[..., :1].square()).sqrt()
 
 
@@ -100,7 +100,7 @@ def test_on_a_pendulum_it_is_the_filter_of_filterpy():
     )
 
     class Pendulum(Reference):
-        def predict_x(self, u=0):  # noqa: ARG002
+        def predict_x(self, u=0):
             q, p = self.x
             p = p - dt * np.sin(q)
             self.x = np.array([q + dt * p, p])

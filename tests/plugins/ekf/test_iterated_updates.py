@@ -18,7 +18,7 @@ START = np.array([[1.0, 0.5], [0.8, -0.6]])
 class Polar:
     names, units = ("range", "angle"), ("m", "rad")
 
-    def __call__(self, x, t):  # noqa: ARG002
+    def __call__(self, x, t):
         return torch.stack((x.norm(dim=-1), torch.atan2(x[..., 1], x[..., 0])), -1)
 
 

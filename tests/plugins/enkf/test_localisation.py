@@ -16,14 +16,14 @@ F64, N = torch.float64, 24
 class Displacements:
     names, units = tuple(f"q{i}" for i in range(N)), ("m",) * N
 
-    def __call__(self, x, t):  # noqa: ARG002
+    def __call__(self, x, t):
         return x[..., :N]
 
 
 class Distances(Displacements):
     """The same, told by a function that is not linear."""
 
-    def __call__(self, x, t):  # noqa: ARG002
+    def __call__(self, x, t):
         return torch.sinh(0.1 * x[..., :N]) / 0.1
 
 

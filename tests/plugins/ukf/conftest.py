@@ -30,7 +30,7 @@ class Linear(NamedTuple):
     states: Tensor
     measurements: Tensor
 
-    def flow(self, x: Tensor, dt: float) -> Tensor:  # noqa: ARG002
+    def flow(self, x: Tensor, dt: float) -> Tensor:
         return x @ self.a.mT
 
 

@@ -14,7 +14,7 @@ class LinearMeasurement:
         self.names = tuple(f"y{i}" for i in range(len(h)))
         self.units = ("1",) * len(h)
 
-    def __call__(self, x: Tensor, t: float) -> Tensor:  # noqa: ARG002
+    def __call__(self, x: Tensor, t: float) -> Tensor:
         return x @ self.h.mT
 
     def residual(self, y: Tensor, y_pred: Tensor) -> Tensor:

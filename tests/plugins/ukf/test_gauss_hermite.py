@@ -55,7 +55,7 @@ def test_on_a_linear_system_it_is_the_kalman_filter_and_the_smoother_of_the_unsc
 class Bent:
     names, units = ("a",), ("1",)
 
-    def __call__(self, x, t):  # noqa: ARG002
+    def __call__(self, x, t):
         return x[..., :1].exp() + 0.3 * x[..., :1].square()
 
 
@@ -102,7 +102,7 @@ def test_the_moments_of_squares_are_exact_where_unscented_ones_are_not():
 class Turned:
     names, units = ("angle",), ("rad",)
 
-    def __call__(self, x, t):  # noqa: ARG002
+    def __call__(self, x, t):
         return torch.remainder(x[..., :1] + math.pi, 2 * math.pi) - math.pi
 
 
