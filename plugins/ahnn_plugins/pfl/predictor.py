@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from statistics import linear_regression
 from types import MappingProxyType
 from typing import Literal
 
@@ -32,7 +33,7 @@ def log_linear(losses: Sequence[float], target_epoch: int) -> Forecast:
     """
     if len(losses) < 2 or not all(math.isfinite(y) and y > 0 for y in losses):
         return None
-    intercept, slope = _line(range(len(losses)), [math.log(y) for y in losses])
+    slope, intercept = linear_regression(range(len(losses)), [math.log(y) for y in losses])
     return _exp(intercept + slope * target_epoch)
 
 
@@ -51,7 +52,7 @@ def power_law(losses: Sequence[float], target_epoch: int) -> Forecast:
     if len(losses) < 3 or not all(math.isfinite(y) for y in losses):
         return None
     abscissa = [math.log(x) for x in range(1, len(losses) + 1)]
-    intercept, slope = _line(abscissa, [math.log(max(y, _POWER_FLOOR)) for y in losses])
+    slope, intercept = linear_regression(abscissa, [math.log(max(y, _POWER_FLOOR)) for y in losses])
     return _exp(intercept + slope * math.log(target_epoch))
 
 
@@ -92,14 +93,6 @@ FITS: Mapping[FitName, Callable[[Sequence[float], int], Forecast]] = MappingProx
     {"log_linear": log_linear, "power_law": power_law, "shifted": shifted_exponential}
 )
 """Fits by their name in a configuration."""
-
-
-def _line(x: Sequence[float], y: Sequence[float]) -> tuple[float, float]:
-    """Return intercept and slope of the least-squares line through (x, y)."""
-    mean_x, mean_y = math.fsum(x) / len(x), math.fsum(y) / len(y)
-    covariance = math.fsum((a - mean_x) * (b - mean_y) for a, b in zip(x, y, strict=True))
-    slope = covariance / math.fsum((a - mean_x) ** 2 for a in x)
-    return mean_y - slope * mean_x, slope
 
 
 def _smoothed(losses: Sequence[float], span: int) -> list[float]:
