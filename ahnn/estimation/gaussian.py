@@ -11,7 +11,7 @@ from torch import Tensor
 from ahnn.estimation import kernel as decisions
 from ahnn.estimation.belief import Belief
 from ahnn.estimation.estimator import Batch, Kernel, SensorModel, Smoothed
-from ahnn.estimation.loop import FilterLoop, RunPlan, stepper
+from ahnn.estimation.loop import FilterLoop, RunPlan, kernel_stepper
 from ahnn.estimation.member_filter import MemberFilter
 from ahnn.estimation.results import Backward, FilterResult, Updated
 from ahnn.estimation.smoother import smoother
@@ -35,7 +35,7 @@ class GaussianFilter(MemberFilter[FilterState]):
 
     def stepper(self, kernel: Kernel, plan: RunPlan, *, smoothing: bool) -> FilterLoop[FilterState]:
         """Return the step function of a run for a kernel."""
-        return stepper(kernel, smoothing=smoothing)
+        return kernel_stepper(kernel, smoothing=smoothing)
 
     def steps(self, state: FilterState, plan: RunPlan, *, smoothing: bool) -> FilterLoop[FilterState]:
         """Return the step function of a run, with the same kernel in all steps."""
@@ -59,10 +59,10 @@ class GaussianFilter(MemberFilter[FilterState]):
     ) -> tuple[FilterState, Backward | None]:
         """Propagate the state over a step ending at `time`; optionally return the backward law."""
         kernel = self.kernel(state.belief)
-        return decisions.predict(state, kernel, flow, dt, time, chol_q, smoothing=smoothing)
+        return decisions.predict(kernel, state, flow, dt, time, chol_q, smoothing=smoothing)
 
     def updated(
         self, state: FilterState, y: Tensor, sensor: SensorModel
     ) -> tuple[FilterState, Updated, Tensor]:
         """Condition the state on a row (B, M); return state, update, and gate rejections, (B,) bool."""
-        return decisions.update(state, self.kernel(state.belief), y, sensor)
+        return decisions.update(self.kernel(state.belief), state, y, sensor)

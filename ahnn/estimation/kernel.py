@@ -20,8 +20,8 @@ from ahnn.types import Flow
 
 
 def predict(
-    state: FilterState,
     kernel: Kernel,
+    state: FilterState,
     flow: Flow,
     dt: float,
     time: Tensor,
@@ -42,7 +42,7 @@ def predict(
 
 
 def update(
-    state: FilterState, kernel: Kernel, y: Tensor, sensor: SensorModel
+    kernel: Kernel, state: FilterState, y: Tensor, sensor: SensorModel
 ) -> tuple[FilterState, Updated, Tensor]:
     """Condition the state on the row y (B, M); return state, update, and gate rejections."""
     updated, rounding = kernel.update(state.belief, y, sensor, float(state.time)), kernel.rounding

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple, Protocol, TypeVar
 
 from torch import Tensor
 
 from ahnn.estimation import kernel as decisions
 from ahnn.estimation.estimator import Kernel, SensorModel
-from ahnn.estimation.results import FilterResult
+from ahnn.estimation.results import Backward, FilterResult, Updated
 from ahnn.estimation.state import FilterState, MemberState
 from ahnn.estimation.step_noise import StepGrid
 from ahnn.estimation.step_records import StepRecord, collected
@@ -77,25 +78,35 @@ class FilterLoop(Protocol[M]):
         ...
 
 
-def stepper(kernel: Kernel, *, smoothing: bool) -> FilterLoop[FilterState]:
-    """Return the step function of a kernel, optionally with backward laws for a smoother."""
+def stepper(
+    predict: Callable[..., tuple[M, Backward | None]],
+    update: Callable[..., tuple[M, Updated, Tensor]],
+    *,
+    smoothing: bool,
+) -> FilterLoop[M]:
+    """Return the step function of `MemberFilter.predicted` and `updated`, or of functions like them."""
 
     def step(
         k: int,  # noqa: ARG001
-        state: FilterState,
+        state: M,
         row: Tensor | None,
         model: StepModel,
         length: float,
         time: Tensor,
-    ) -> tuple[FilterState, StepRecord]:
+    ) -> tuple[M, StepRecord]:
         flow, chol_q, sensor = model
-        after, backward = decisions.predict(state, kernel, flow, length, time, chol_q, smoothing=smoothing)
-        predicted, updated, rejected = after.belief, None, None
+        before, backward = predict(state, flow, length, time, chol_q, smoothing=smoothing)
+        after, updated, rejected = before, None, None
         if row is not None:
-            after, updated, rejected = decisions.update(after, kernel, row, sensor)
-        return after, StepRecord.of_one(predicted, after.belief, updated, rejected, backward)
+            after, updated, rejected = update(before, row, sensor)
+        return after, StepRecord.of_one(before.belief, after.belief, updated, rejected, backward)
 
     return step
+
+
+def kernel_stepper(kernel: Kernel, *, smoothing: bool) -> FilterLoop[FilterState]:
+    """Return the step function of a kernel."""
+    return stepper(partial(decisions.predict, kernel), partial(decisions.update, kernel), smoothing=smoothing)
 
 
 def run(before: M, plan: RunPlan, step: FilterLoop[M]) -> FilterResult:

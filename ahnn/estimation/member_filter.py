@@ -28,11 +28,10 @@ from ahnn.estimation.belief import Belief
 from ahnn.estimation.covariances import Covariance
 from ahnn.estimation.estimator import Batch, Innovation, SensorModel, Smoothed
 from ahnn.estimation.gate import Gate, check_gate
-from ahnn.estimation.loop import FilterLoop, RunPlan, StepModel, run
+from ahnn.estimation.loop import FilterLoop, RunPlan, StepModel, run, stepper
 from ahnn.estimation.results import Backward, FilterResult, ProcessNoise, Updated
 from ahnn.estimation.state import MemberState
 from ahnn.estimation.step_noise import StepGrid, process_factor
-from ahnn.estimation.step_records import StepRecord
 from ahnn.measurements.base import Measurement
 from ahnn.numbers import Numbers
 from ahnn.types import Flow
@@ -91,23 +90,7 @@ class MemberFilter(ABC, Generic[M]):
 
     def steps(self, state: M, plan: RunPlan, *, smoothing: bool) -> FilterLoop[M]:
         """Return the step function of a run."""
-        del state, plan
-
-        def step(
-            k: int,  # noqa: ARG001
-            state: M,
-            row: Tensor | None,
-            model: StepModel,
-            length: float,
-            time: Tensor,
-        ) -> tuple[M, StepRecord]:
-            before, law = self.predicted(state, model.flow, length, time, model.chol_q, smoothing=smoothing)
-            if row is None:
-                return before, StepRecord.of_one(before.belief, before.belief, None, None, law)
-            after, updated, rejected = self.updated(before, row, model.sensor)
-            return after, StepRecord.of_one(before.belief, after.belief, updated, rejected, law)
-
-        return step
+        return stepper(self.predicted, self.updated, smoothing=smoothing)
 
     def gated(self, gate: Gate | None) -> Self:
         """Return a copy with another gate."""

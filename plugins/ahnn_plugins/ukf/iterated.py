@@ -19,7 +19,7 @@ from ahnn.dynamics.flow_at_time import at
 from ahnn.estimation.argument_checks import checked_rows, checked_sensor
 from ahnn.estimation.belief import Belief, Status, choose
 from ahnn.estimation.consistency import deviations
-from ahnn.estimation.loop import RunPlan, StepModel, run, stepper
+from ahnn.estimation.loop import RunPlan, StepModel, kernel_stepper, run
 from ahnn.estimation.results import FilterResult, ProcessNoise, SmootherResult
 from ahnn.estimation.state import initial_state
 from ahnn.estimation.step_noise import StepGrid, process_factor
@@ -110,7 +110,7 @@ def iterated_smoother(
                 *step, linear_sensor(sensor, float(grid.times[k]), _belief(about, k + 1), weights)
             )
 
-        step = stepper(SigmaPoints(weights, SQUARE_ROOT), smoothing=True)
+        step = kernel_stepper(SigmaPoints(weights, SQUARE_ROOT), smoothing=True)
         return unscented_smoother(run(begin, RunPlan.of(rows, grid, line), step))
 
     current, change, count = _settled(_of(guess, there), relinearised, iterations)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from ahnn.estimation.belief import Belief
-from ahnn.estimation.loop import RunPlan, StepModel, stepper
+from ahnn.estimation.loop import RunPlan, StepModel, kernel_stepper
 from ahnn.estimation.state import FilterState
 from ahnn.estimation.step_records import StepRecord
 from ahnn.estimation.step_runs import StepRun
@@ -49,7 +49,7 @@ class WholeSteps:
         done = self.steps(k, state, model)
         if done is None:
             points, self.points = self.points, None
-            single = stepper(self.kernel._replace(points=points), smoothing=self.smoothing)
+            single = kernel_stepper(self.kernel._replace(points=points), smoothing=self.smoothing)
             done = single(k, state, row, model, length, time)
         return done
 
