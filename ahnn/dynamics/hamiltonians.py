@@ -99,10 +99,10 @@ class GenericHamiltonian(ScaledStates):
         if layers := self.layers(x):
             return fused_steps.network_gradient(x, layers, self.network.activation)
         q, p = x.chunk(2, dim=-1)
-        gradient = self.unit * self.network.gradient(self.seen(x))
+        (seen_q, of_q), (seen_p, of_p) = self.positions.linearised(q), self.momenta.linearised(p)
+        gradient = self.unit * self.network.gradient(torch.cat((seen_q, seen_p), dim=-1))
         split = self.positions.size
-        dq = self.momenta.pullback(p, gradient[..., split:])
-        return torch.cat((dq, -self.positions.pullback(q, gradient[..., :split])), dim=-1)
+        return torch.cat((of_p(gradient[..., split:]), -of_q(gradient[..., :split])), dim=-1)
 
 
 class SeparableHamiltonian(nn.Module):

@@ -80,10 +80,6 @@ class Isotropic(LogDistance):
         """Return (q / r, s), shape (..., n + 1), at the positions q, shape (..., n)."""
         return self.linearised(q)[0]
 
-    def pullback(self, q: Tensor, gradient: Tensor) -> Tensor:
-        """Return the gradient with respect to q, shape (..., n), from the one with respect to z."""
-        return self.linearised(q)[1](gradient)
-
     def linearised(self, q: Tensor) -> tuple[Tensor, Pullback]:
         """Return z at q and the pullback of gradients at that point, which share intermediate results."""
         r = vector_norm(q, dim=-1, keepdim=True)
@@ -123,10 +119,6 @@ class Radial(LogDistance):
         """Return s, shape (..., 1), at the positions q, shape (..., n)."""
         return self.linearised(q)[0]
 
-    def pullback(self, q: Tensor, gradient: Tensor) -> Tensor:
-        """Return the gradient with respect to q, shape (..., n), from the one with respect to s, (..., 1)."""
-        return self.linearised(q)[1](gradient)
-
     def linearised(self, q: Tensor) -> tuple[Tensor, Pullback]:
         """Return s and the pullback of gradients at that point."""
         square = q.square().sum(-1, keepdim=True)
@@ -163,10 +155,6 @@ class Cartesian(nn.Module):
         """Return scaled components, shape (..., n)."""
         return self.affine(q)
 
-    def pullback(self, q: Tensor, gradient: Tensor) -> Tensor:
-        """Return the gradient with respect to the physical components, shape (..., n)."""
-        return self.affine.pullback(gradient)
-
     def linearised(self, q: Tensor) -> tuple[Tensor, Pullback]:
         """Return z at q and the pullback of gradients, which is constant."""
         return self.affine(q), self.affine.pullback
@@ -201,10 +189,6 @@ class Angles(nn.Module):
         """Return cosines, sines and scaled components, shape (..., F), at the positions q, shape (..., n)."""
         angle = q[..., self.turning]
         return torch.cat((angle.cos(), angle.sin(), self.affine(q[..., self.straight])), dim=-1)
-
-    def pullback(self, q: Tensor, gradient: Tensor) -> Tensor:
-        """Return the gradient with respect to q, shape (..., n), from the one with respect to z."""
-        return self.linearised(q)[1](gradient)
 
     def linearised(self, q: Tensor) -> tuple[Tensor, Pullback]:
         """Return z at q and the pullback of gradients at that point."""

@@ -152,7 +152,7 @@ def test_radial_inputs_pull_toward_the_centre_by_the_derivative_of_their_curve()
     close(inputs(q), torch.tensor([[-1.0], [1.0], [0.0]], dtype=torch.float64), 1e-12)
     slope = torch.tensor([[1.0], [2.0], [3.0]], dtype=torch.float64)
     r = q.norm(dim=-1, keepdim=True)
-    close(inputs.pullback(q, slope), slope / (r * math.log(2.0)) * q / r, 1e-14)
+    close(inputs.linearised(q)[1](slope), slope / (r * math.log(2.0)) * q / r, 1e-14)
     with pytest.raises(UserError, match="radial: expected distances 0 < low < high"):
         inputs.fit(statistics()._replace(radius=torch.tensor([2.0, 2.0])))
     with pytest.raises(UserError, match="inputs radial: expected a system of at least 2"):
@@ -174,7 +174,7 @@ def test_angles_have_a_period_and_exact_derivatives():
 
     slope = torch.func.grad(along)
     bent = torch.func.vmap(torch.func.jacrev(slope))(q, weights)
-    close(inputs.pullback(q, weights), torch.func.vmap(slope)(q, weights), 1e-13)
+    close(inputs.linearised(q)[1](weights), torch.func.vmap(slope)(q, weights), 1e-13)
     close(inputs.curvature(q, weights), bent, 1e-13)
     with pytest.raises(UserError, match="inputs angles: expected coordinates that are angles"):
         position_inputs("angles", 3, "minmax", [False] * 3)
