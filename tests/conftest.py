@@ -6,6 +6,7 @@ import gc
 import os
 from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 import torch
@@ -35,6 +36,16 @@ def compositions() -> Iterator[None]:
     """Options of conf/ merged once in a session."""
     with shared():
         yield
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run on the spring, which stays as it is: a test that changes one copies it."""
+    from entry import FIRST, call  # lightning, which many tests do without
+
+    folder = tmp_path_factory.mktemp("finished") / "run"
+    assert call("ahnn.train", *FIRST, f"run={folder}") == 0
+    return folder
 
 
 @pytest.fixture

@@ -30,6 +30,8 @@ SMALL = [
     "logger=none",
 ]
 """Overrides of a training of 3 epochs of 10 steps, on the spring."""
+FIRST = [*SMALL, "recipe=first_order", "evaluation=scores"]
+"""The same by a first-order optimiser and without figures, where neither is what a test is about."""
 
 
 class Interrupted(Exception):

@@ -7,19 +7,19 @@ from pathlib import Path
 
 import pytest
 import yaml
-from entry import SMALL, call
+from entry import FIRST, call
 
 from ahnn.checkpoints import read_weights, write_weights
 from ahnn.loading import weights_path
 
-FIRST = [*SMALL, "recipe=first_order", "evaluation=scores", "trainer.max_epochs=1"]
+ONE = [*FIRST, "trainer.max_epochs=1"]
 
 
 def trained(folder: Path) -> Path:
     """A run whose configuration names a cache of its own, its weights as safetensors."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("AHNN_CACHE", str(folder.parent / "theirs"))
-        assert call("ahnn.train", *FIRST, f"run={folder}") == 0
+        assert call("ahnn.train", *ONE, f"run={folder}") == 0
     weights = read_weights(weights_path(folder))
     shutil.rmtree(folder / "checkpoints")
     write_weights(folder / "weights.safetensors", weights)

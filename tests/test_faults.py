@@ -9,14 +9,12 @@ from pathlib import Path
 
 import pytest
 import torch
-from entry import SMALL, call, started
+from entry import FIRST, SMALL, call, started
 
 from ahnn.checkpoints import read_checkpoint
 from ahnn.errors import UserError
 from ahnn.evaluation import load_results
 from ahnn.training.checkpoint_io import AtomicCheckpointIO
-
-FIRST = [*SMALL, "recipe=first_order", "evaluation=scores"]
 
 
 def content(folder: Path) -> dict[str, bytes]:

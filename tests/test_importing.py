@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import gc
+import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -27,26 +29,72 @@ with importing():
 assert any(one is job for one in gc.get_objects())
 """
 
-SPARED = """
-import sys
-from ahnn.cli.importing import import_torchmetrics
+STAGES = """
+import json, sys
+import torch.optim
 
+stages = {}
+
+def reached(stage):
+    stages[stage] = sorted(sys.modules)
+
+def fail(*_, **__):
+    raise AssertionError("an optimiser was built")
+
+import ahnn
+reached("the package")
+ahnn.load("molniya_mechanical")
+reached("a model that is loaded")
+built, torch.optim.Optimizer.__init__ = torch.optim.Optimizer.__init__, fail
+from ahnn.evaluate import evaluate
+evaluate(sys.argv[2:])
+torch.optim.Optimizer.__init__ = built
+reached("an evaluation")
+from ahnn.cli.importing import import_torchmetrics
 import_torchmetrics()
 import torchmetrics
-assert "scipy.signal" not in sys.modules
+reached("torchmetrics")
 assert float(torchmetrics.MeanMetric()(2.0)) == 2.0
 import ahnn.jobs.closing, ahnn.jobs.fitting
-assert not {"scipy.linalg", "scipy.optimize"} & sys.modules.keys()  # of no use to most trainings
+reached("a training")
+import ahnn_plugins.report.figures, ahnn_plugins.report.interactive
+reached("the figures of a report")
 import scipy.signal
 assert scipy.signal.hilbert([1.0, 0.0, -1.0, 0.0]).imag.round(9).tolist() == [0.0, 1.0, 0.0, -1.0]
 import_torchmetrics()
 assert "hilbert" in dir(sys.modules["scipy.signal"])
+open(sys.argv[1], "w").write(json.dumps(stages))
 """
+"""What an interpreter imports one after the other, and that scipy.signal is whole for whoever wants it."""
 
 
-def test_scipy_signal_is_not_imported_for_torchmetrics_and_is_whole_for_whoever_wants_it():
-    done = subprocess.run([sys.executable, "-c", SPARED], capture_output=True, text=True, check=False)
+TRAINER = {"lightning", "pytorch_lightning"}
+HEAVY = {*TRAINER, "hydra", "omegaconf", "optuna", "matplotlib", "scipy"}
+SPARED = {
+    "the package": HEAVY,
+    "a model that is loaded": HEAVY,
+    "an evaluation": TRAINER,
+    "torchmetrics": {"scipy.signal"},
+    "a training": {"scipy.linalg", "scipy.optimize"},
+    "the figures of a report": {"plotly"},
+}
+
+
+@pytest.fixture(scope="module")
+def stages(finished, tmp_path_factory):
+    """The modules that a new interpreter has after each stage."""
+    place = tmp_path_factory.mktemp("stages")
+    run, path = shutil.copytree(finished, place / "run"), place / "stages.json"
+    options = [f"run={run}", "plugins=ukf", "plugins.ukf.cadence=10", "plugins.ukf.process_noise=[1e-6,1e-6]"]
+    command = [sys.executable, "-c", STAGES, str(path), *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+    return json.loads(path.read_text())
+
+
+@pytest.mark.parametrize("stage", SPARED)
+def test_what_is_of_no_use_is_not_imported(stages, stage):
+    assert not SPARED[stage] & {*stages[stage]}
 
 
 def test_what_is_imported_first_is_left_alone_and_what_a_later_job_makes_is_not():

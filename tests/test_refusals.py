@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from entry import SMALL, call
-
-FIRST = [*SMALL, "recipe=first_order", "evaluation=scores"]
-
+from entry import FIRST, call
 
 WRONG_JOBS = {
     "callbacks.pfl.patience=-1": "did you mean 'callbacks.pfl",

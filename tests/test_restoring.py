@@ -6,20 +6,11 @@ import shutil
 
 import pytest
 import torch
-from entry import SMALL, call
+from entry import FIRST, call
 
 import ahnn
 from ahnn.errors import UserError
 from ahnn.evaluation import load_results
-
-FIRST = [*SMALL, "recipe=first_order", "evaluation=scores"]
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("faults") / "run"
-    assert call("ahnn.train", *FIRST, f"run={folder}") == 0
-    return folder
 
 
 def spoiled(finished, path, change):

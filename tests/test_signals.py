@@ -8,14 +8,12 @@ import sys
 import time
 
 import pytest
-from entry import SMALL, started
+from entry import FIRST, started
 
 from ahnn.checkpoints import read_checkpoint
 from ahnn.cli import early_stops
 from ahnn.cli.early_stops import ended
 from ahnn.errors import Stopped
-
-FIRST = [*SMALL, "recipe=first_order", "evaluation=scores"]
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])

@@ -9,20 +9,11 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
-from entry import SMALL, call
+from entry import call
 
 import ahnn
 from ahnn.cli.trust import is_trusted
 from ahnn.errors import UserError
-
-FIRST = [*SMALL, "recipe=first_order", "evaluation=scores"]
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("trust") / "run"
-    assert call("ahnn.train", *FIRST, f"run={folder}") == 0
-    return folder
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 from entry import call
-from foreign import FIRST, configured, doors, refused
+from foreign import ONE, configured, doors, refused
 
 import ahnn
 
@@ -104,7 +104,7 @@ def test_so_is_it_in_place_of_a_file_that_a_command_names(run, tmp_path, capfd, 
         (*commands["assimilate"], f"state={odd}.state"),
         ("ahnn.train", "system=files", f"system.path={odd}.csv", new),
         ("ahnn.train", "system=molniya_gravity", f"system.gravity={odd}.gfc", new),
-        ("ahnn.train", *FIRST, f"ckpt={odd}.ckpt", new),
+        ("ahnn.train", *ONE, f"ckpt={odd}.ckpt", new),
     ):
         ends(command, capfd, odd)
     assert not (tmp_path / "new").exists()
@@ -133,5 +133,5 @@ def test_a_folder_with_the_name_of_a_number_is_a_run(run, tmp_path, monkeypatch)
     assert Path("08", "report.html").is_file()
     assert call("ahnn.evaluate", "run=1e3", "name=007") == 0
     assert Path("1e3", "evaluations", "007", "metrics.json").is_file()
-    assert call("ahnn.train", *FIRST, "run=010", "label=5", "weights=0123") == 0
+    assert call("ahnn.train", *ONE, "run=010", "label=5", "weights=0123") == 0
     assert ahnn.load("010").config["label"] == "5"
