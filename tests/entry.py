@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -115,11 +115,15 @@ def call(module: str, *arguments: str) -> int:
     return int(stopped.value.code or 0)
 
 
-def forked(module: str, *arguments: str) -> int:
-    """Start `python -m module arguments` in a copy of this process, with its imports; return its id."""
+def forked(module: str, *arguments: str, before: Callable[[], object] = tuple) -> int:
+    """Start `python -m module arguments` in a copy of this process, with its imports; return its id.
+
+    The copy calls `before` first.
+    """
     process = os.fork()
     if process == 0:
         with suppress(BaseException):
+            before()
             os._exit(call(module, *arguments))
         os._exit(1)
     return process
@@ -136,10 +140,11 @@ def started(folder: Path, *overrides: str) -> subprocess.Popen:
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
-        preexec_fn=_hear,
+        preexec_fn=hear,
     )
 
 
-def _hear() -> None:
+def hear() -> None:
+    """Let signals end this process, also where the tests run under nohup."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)

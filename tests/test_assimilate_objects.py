@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import multiprocessing
 import os
 import signal
 import time
@@ -58,6 +59,15 @@ def rows_of(name):
         return list(csv.DictReader(file))
 
 
+@pytest.fixture
+def forks(monkeypatch):
+    """Workers that are copies of this process, with its imports; tests/test_workers.py has new ones."""
+    fork = multiprocessing.get_context("fork")
+    monkeypatch.setattr(multiprocessing, "get_context", lambda _: fork)
+
+
+@pytest.mark.usefixtures("forks")
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 @pytest.mark.parametrize("more", [[], ["workers=2", "state=kept"]])
 def test_objects_beyond_the_training_data_are_counted_and_the_farthest_is_named(place, caplog, more):
     """Two of them at 1.2 and 2 times the radius of the perigees, each with one measurement."""
@@ -250,7 +260,8 @@ def test_a_start_far_from_all_measurements_is_named(place, caplog):
     assert said.startswith("object S2: all its measurements before were rejected")
 
 
-@pytest.mark.usefixtures("place")
+@pytest.mark.usefixtures("place", "forks")
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 def test_names_of_many_objects_pass_from_their_starts_to_their_states():
     about = "EARTH", "EME2000", "UTC", instant("2024-03-01T12:00:00", utc=True), np.zeros(1)
     starts = [Ephemeris(f"S{b}", f"NAME {b}", *about, STARTS[b : b + 1].numpy()) for b in range(COUNT)]

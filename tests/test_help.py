@@ -84,20 +84,21 @@ def test_help_starts_without_torch():
     assert done.returncode == 0, done.stderr
 
 
+@pytest.fixture(scope="module")
+def installed():
+    """The completion in bash, as the command installs it."""
+    install = [sys.executable, "-m", "ahnn.train", "-sc", "install=bash"]
+    return subprocess.run(install, capture_output=True, text=True, check=True).stdout
+
+
 @pytest.mark.parametrize("command", ["ahnn-train", "python -m ahnn.train"])
 @pytest.mark.parametrize(
     ("typed", "expected"), [("system=mol", "system=molniya"), ("trainer.max_", "trainer.max_epochs=")]
 )
-def test_commands_complete_in_bash(command, typed, expected):
-    install = subprocess.run(
-        [sys.executable, "-m", "ahnn.train", "-sc", "install=bash"],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+def test_commands_complete_in_bash(installed, command, typed, expected):
     words = [*command.split(), typed]
     script = (
-        f"{install.stdout}\nCOMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}\n"
+        f"{installed}\nCOMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}\n"
         f"COMP_LINE='{command} {typed}'; _ahnn_train; printf '%s\\n' \"${{COMPREPLY[@]}}\""
     )
     done = subprocess.run(["bash", "-c", script], env=os.environ, capture_output=True, text=True, check=True)

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
 from entry import SMALL, call
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
@@ -240,13 +236,13 @@ def test_a_sweep_checks_all_values_of_settings_before_its_first_job(tmp_path, mo
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
-def test_jobs_of_a_sweep_keep_the_line_that_names_them(tmp_path):
+def test_jobs_of_a_sweep_keep_the_line_that_names_them(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
     wrong = ["model.network.width=x,y", f"hydra.sweep.dir={tmp_path / 'sweep'}"]
-    command = [sys.executable, "-m", "ahnn.train", "-m", *wrong]
-    done = subprocess.run(command, cwd=Path(tmp_path), capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "Error executing job with overrides: ['model.network.width=x']" in done.stderr
-    assert "width: expected int >= 1; received 'x' (str)" in done.stderr.splitlines()[-1]
+    assert call("ahnn.train", "-m", *wrong) == 2
+    err = capfd.readouterr().err
+    assert "Error executing job with overrides: ['model.network.width=x']" in err
+    assert "width: expected int >= 1; received 'x' (str)" in err.splitlines()[-1]
 
 
 def test_a_sweep_runs_in_the_folder_of_its_run_or_says_that_it_cannot(tmp_path, monkeypatch, capfd):

@@ -19,6 +19,7 @@ SMALL = [
     "system=files",
     "trainer.accelerator=cpu",
     "logger=none",
+    "evaluation=scores",
     "data.batch_size=60",
     "data.windows_per_epoch=120",
     "data.val_windows=null",
@@ -77,7 +78,7 @@ def test_states_of_a_file_train_resume_and_are_known_again(tmp_path, capfd):
 def test_recorded_positions_are_measurements_and_chi_square_is_the_verdict(tmp_path, whole):
     data = swings(tmp_path / "swings.csv", 3, SD, whole=whole)
     given = ["model=ahnn", "hamiltonian=mechanical", "sensor=recorded", f"data.noise={SD}"]
-    given += ["loss.stages=[[16, 1.0]]", "trainer.max_epochs=6"]
+    given += ["loss.stages=[[16, 1.0]]", "trainer.max_epochs=6", "evaluation.figures=true"]
     folder = tmp_path / "run"
     assert call("ahnn.train", *SMALL, f"system.path={data}", *given, f"run={folder}") == 0
     run = ahnn.load(folder)

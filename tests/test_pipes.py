@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-COMMANDS = [["ahnn"], ["ahnn.data", "--help"], ["ahnn.train", "--help"]]
+COMMANDS = [["ahnn.train", "--help"], ["ahnn"], ["ahnn.data", "--help"]]
 
 
 def ended(command, stdout, **options):
@@ -40,4 +40,4 @@ def test_a_full_disk_behind_standard_output_is_one_message(command):
 
 
 def test_a_closed_standard_output_is_none():
-    assert ended(["ahnn"], None, preexec_fn=lambda: os.close(1)) == (0, "")
+    assert ended(COMMANDS[0], None, preexec_fn=lambda: os.close(1)) == (0, "")

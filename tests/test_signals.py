@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
 import time
 
 import pytest
-from entry import FIRST, started
+from entry import FIRST, forked, hear, started
 
 from ahnn.checkpoints import read_checkpoint
 from ahnn.cli import early_stops
@@ -18,16 +19,18 @@ from ahnn.errors import Stopped
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129)])
 @pytest.mark.sampled(2)
-def test_a_scheduler_that_ends_a_training_loses_nothing(tmp_path, number, code):
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_a_scheduler_that_ends_a_training_loses_nothing(tmp_path, capfd, number, code):
     run = [*FIRST, "trainer.max_epochs=2000", "callbacks.last.every=100000", f"run={tmp_path / 'run'}"]
-    job = started(tmp_path, *run)
+    job = forked("ahnn.train", *run, before=hear)
     last = tmp_path / "run" / "checkpoints" / "last.ckpt"
     while not last.exists():
-        assert job.poll() is None
+        assert os.waitpid(job, os.WNOHANG) == (0, 0)
         time.sleep(0.05)
-    job.send_signal(number)
-    said, _ = job.communicate(timeout=60)
-    assert job.returncode == code
+    os.kill(job, number)
+    _, status = os.waitpid(job, 0)
+    assert os.waitstatus_to_exitcode(status) == code
+    said = "".join(capfd.readouterr())
     assert f"stopped by {number.name}; resume with the same command and run=" in said
     assert "Traceback" not in said
     assert read_checkpoint(last)["global_step"] > 0

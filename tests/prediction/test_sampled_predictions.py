@@ -38,11 +38,11 @@ def test_sampled_starts_have_exactly_the_given_covariance_and_linear_motion_keep
 def test_sampled_paths_are_written_in_place_of_first_order_bands(tmp_path, monkeypatch, caplog):
     """Their moments are those of the library, also in another frame, and no linear range is left."""
     monkeypatch.chdir(tmp_path)
-    run, sd = ahnn.load("molniya_mechanical"), [1.0, 1e-3]
-    options = [f"start_sd=[{sd[0]},{sd[1]}]", "duration=12h", "step=3h", "samples=20"]
+    run, sd = ahnn.load("molniya_mechanical"), [3.0, 3e-3]
+    options = [f"start_sd=[{sd[0]},{sd[1]}]", "duration=6h", "step=90min", "samples=20"]
     assert call("ahnn.predict", MOLNIYA, START, *options, "output=wide.csv") == 0
     assert "propagate linearly" not in caplog.text
-    expected = run.predict(STATE, 10800.0 * torch.arange(5.0), start_sd=sd, samples=20)
+    expected = run.predict(STATE, 5400.0 * torch.arange(5.0), start_sd=sd, samples=20)
     found = rows(tmp_path / "wide.csv")
     for k, name in enumerate(("x", "y", "z")):
         close(column(found, f"{name} [km]"), expected.states[0, :, k], 1e-12)

@@ -58,7 +58,7 @@ def wrong(station, latitude, longitude):
     return geodetic_station(station.name, np.degrees(latitude), np.degrees(longitude), station.height)
 
 
-@pytest.mark.parametrize("fitted", [False, True])
+@pytest.mark.parametrize("fitted", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_interchanged_coordinates_are_named(right, fitted):
     others = tuple(wrong(one, one.longitude, one.latitude) for one in STATIONS)
     mistaken = replace(right, model=right.model.of(others, right.model.data))

@@ -30,6 +30,7 @@ def page(tmp_path):
         yield shown
 
 
+@pytest.mark.slow
 def test_a_report_is_shown_on_a_desk_and_on_a_phone_and_its_orbit_turns(page, tmp_path):
     path = tmp_path / "out" / "report.html"
     grounds = []

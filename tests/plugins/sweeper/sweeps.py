@@ -5,7 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import warnings
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
+from runpy import run_path
+from tempfile import TemporaryFile
+from traceback import print_exc
 
 import optuna
 
@@ -14,14 +19,17 @@ APP = Path(__file__).with_name("toy_app.py")
 SEARCH = ("hydra/sweeper=ahnn_optuna", "x=interval(0.0,1.0)")
 
 
+ENVIRONMENT = {
+    "PYTHONPATH": f"{ROOT / 'plugins'}{os.pathsep}{ROOT}",
+    "AHNN_CONF": str(ROOT / "conf"),
+    "OMP_NUM_THREADS": "1",
+    "COLUMNS": "160",
+}
+
+
 def start(sweep_dir: Path, *arguments: str) -> subprocess.Popen[str]:
     """Start a multirun in its own process."""
-    environment = os.environ | {
-        "PYTHONPATH": f"{ROOT / 'plugins'}{os.pathsep}{ROOT}",
-        "AHNN_CONF": str(ROOT / "conf"),
-        "OMP_NUM_THREADS": "1",
-        "COLUMNS": "160",
-    }
+    environment = os.environ | ENVIRONMENT
     command = [sys.executable, str(APP), "-m", f"hydra.sweep.dir={sweep_dir}", *arguments]
     return subprocess.Popen(
         command,
@@ -38,6 +46,35 @@ def sweep(sweep_dir: Path, *arguments: str) -> tuple[int, str]:
     process = start(sweep_dir, *arguments)
     output, _ = process.communicate(timeout=300)
     return process.returncode, output
+
+
+def forked_sweep(sweep_dir: Path, *arguments: str) -> tuple[int, str]:
+    """Run a multirun to its end in a copy of this process, with its imports, as `sweep` does in a new one."""
+    with TemporaryFile("w+") as said:
+        process = os.fork()
+        if process == 0:
+            os.dup2(said.fileno(), 1)
+            os.dup2(said.fileno(), 2)
+            os._exit(_run(sweep_dir, *arguments))
+        _, status = os.waitpid(process, 0)
+        said.seek(0)
+        return os.waitstatus_to_exitcode(status), said.read()
+
+
+def _run(sweep_dir: Path, *arguments: str) -> int:
+    os.environ |= ENVIRONMENT
+    os.chdir(sweep_dir.parent)
+    warnings.simplefilter("default")
+    sys.argv = [str(APP), "-m", f"hydra.sweep.dir={sweep_dir}", *arguments]
+    with os.fdopen(1, "w", 1, closefd=False) as out, redirect_stdout(out), redirect_stderr(out):
+        try:
+            run_path(str(APP), run_name="__main__")
+        except SystemExit as stopped:
+            return int(stopped.code or 0)
+        except BaseException:
+            print_exc()
+            return 1
+    return 0
 
 
 def trials(

@@ -9,9 +9,11 @@ from pathlib import Path
 
 import pytest
 import yaml
-from sweeps import APP, ROOT, SEARCH, assert_none_lost_or_doubled, states, sweep, trials
+from sweeps import APP, ROOT, SEARCH, assert_none_lost_or_doubled, forked_sweep, states, sweep, trials
 
 from ahnn.evaluation.sweep_summary import PRUNED
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 
 
 @pytest.mark.slow
@@ -35,7 +37,7 @@ def test_states_files_and_resume(tmp_path: Path):
 
 def test_a_failing_job_stops_nothing_and_sets_the_exit_code(tmp_path: Path):
     folder = tmp_path / "sweep"
-    code, output = sweep(folder, *SEARCH, "hydra.sweeper.n_trials=4", "raising=[1]")
+    code, output = forked_sweep(folder, *SEARCH, "hydra.sweeper.n_trials=4", "raising=[1]")
     assert code == 1
     assert "1 of 4 trials failed" in output
     assert "RuntimeError: this job was made to fail" in output
@@ -45,7 +47,7 @@ def test_a_failing_job_stops_nothing_and_sets_the_exit_code(tmp_path: Path):
 def test_the_winner_runs_again_as_an_experiment(tmp_path: Path):
     folder = tmp_path / "sweep"
     arguments = ("sweep=quick", "model=hnn", "hydra.sweeper.n_trials=2")
-    code, output = sweep(folder, *arguments)
+    code, output = forked_sweep(folder, *arguments)
     assert code == 0, output
     best = yaml.safe_load((folder / "best.yaml").read_text())
     assert {"override /model": "hnn"} in best["defaults"]
@@ -73,7 +75,7 @@ def test_the_winner_runs_again_as_an_experiment(tmp_path: Path):
 @pytest.mark.sampled(2)
 def test_the_papers_spaces_compose(tmp_path: Path, space: tuple[str, ...], rates: tuple[float, float]):
     folder = tmp_path / "sweep"
-    code, output = sweep(folder, *space, "hydra.sweeper.n_trials=1", "hydra/launcher=basic")
+    code, output = forked_sweep(folder, *space, "hydra.sweeper.n_trials=1", "hydra/launcher=basic")
     assert code == 0, output
     job = yaml.safe_load((folder / "0" / ".hydra" / "config.yaml").read_text())
     assert job["seeds"] == [7, 201, 719]
@@ -93,15 +95,15 @@ def test_the_papers_spaces_compose(tmp_path: Path, space: tuple[str, ...], rates
     ],
 )
 def test_user_mistakes_stop_before_the_first_job(tmp_path: Path, arguments: tuple[str, ...], message: str):
-    code, output = sweep(tmp_path / "sweep", *arguments)
+    code, output = forked_sweep(tmp_path / "sweep", *arguments)
     assert code == 1
     assert message in output
     assert not (tmp_path / "sweep" / "0").exists()
 
 
 def test_another_command_does_not_continue_a_study(tmp_path: Path):
-    assert sweep(tmp_path / "sweep", *SEARCH, "hydra.sweeper.n_trials=1")[0] == 0
-    code, output = sweep(tmp_path / "sweep", *SEARCH, "hydra.sweeper.n_trials=2", "model=hnn")
+    assert forked_sweep(tmp_path / "sweep", *SEARCH, "hydra.sweeper.n_trials=1")[0] == 0
+    code, output = forked_sweep(tmp_path / "sweep", *SEARCH, "hydra.sweeper.n_trials=2", "model=hnn")
     assert code == 1
     assert "expected to be continued with" in output
     assert len(trials(tmp_path / "sweep")) == 1
