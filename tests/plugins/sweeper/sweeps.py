@@ -7,6 +7,7 @@ import subprocess
 import sys
 import warnings
 from contextlib import redirect_stderr, redirect_stdout
+from importlib import import_module
 from pathlib import Path
 from runpy import run_path
 from tempfile import TemporaryFile
@@ -50,6 +51,8 @@ def sweep(sweep_dir: Path, *arguments: str) -> tuple[int, str]:
 
 def forked_sweep(sweep_dir: Path, *arguments: str) -> tuple[int, str]:
     """Run a multirun to its end in a copy of this process, with its imports, as `sweep` does in a new one."""
+    for name in ("optuna.visualization.matplotlib", "sqlalchemy.orm", "hydra_plugins.ahnn_sweeper.sweeper"):
+        import_module(name)  # once, for all copies
     with TemporaryFile("w+") as said:
         process = os.fork()
         if process == 0:
