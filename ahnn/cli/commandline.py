@@ -41,6 +41,20 @@ from ahnn.manifest import require_folder
 from ahnn.paths import conf_dir
 
 MODES = ("run", "multirun", "cfg", "info", "shell_completion")
+VALUES = (
+    "--cfg",
+    "-c",
+    "--package",
+    "-p",
+    "--config-dir",
+    "-cd",
+    "--config-name",
+    "-cn",
+    "--config-path",
+    "-cp",
+)
+INFOS = ("--info", "-i")
+"""Flags of Hydra that take a value, and those that may take one."""
 TEXTS = ("run", "pretrained", "ckpt", "weights", "name", "label", "start", "measurements", "state", "output")
 TEXTS += ("figure", "figures", "oem", "object", "system.path", "system.name", "data.cache")
 """Keys whose values are names or paths."""
@@ -67,6 +81,17 @@ def read(argv: Sequence[str]) -> Namespace:
         message = f"expected one of {' and '.join(modes)}; received both. Leave one out"
         raise UserError(message)
     return args
+
+
+def flags_last(arguments: Sequence[str]) -> list[str]:
+    """Return the words of a command line with flags after KEY=VALUE words, as argparse requires."""
+    flags = [
+        word.startswith("-") or before in VALUES or (before in INFOS and "=" not in word)
+        for before, word in zip(("", *arguments), arguments, strict=False)
+    ]
+    return [
+        word for last in (False, True) for word, flag in zip(arguments, flags, strict=True) if flag is last
+    ]
 
 
 def _refuse(message: str) -> NoReturn:

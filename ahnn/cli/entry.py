@@ -32,8 +32,8 @@ def run_hydra(task: Callable[[DictConfig], Any]) -> None:
     # Hydra does not accept null for a group. For a group that is empty by default it is equivalent to no
     # override.
     given = [argument for argument in sys.argv if argument not in ("experiment=null", "sweep=null")]
-    words = [commandline.worded(argument) for argument in commandline.in_one_folder(given)]
-    sys.argv = with_recorded(words)
+    words = commandline.flags_last(commandline.in_one_folder(given[1:]))
+    sys.argv = [given[0], *with_recorded([commandline.worded(word) for word in words])]
     leave(guard(lambda: start(task)))
 
 

@@ -51,6 +51,10 @@ class LastEstimates(NamedTuple):
     objects: dict[str, str] = {}  # noqa: RUF012 - never written to
 
 
+OF_FILTER = "Estimates of ahnn.assimilate"
+"""Comment of an orbit message with the estimates of a filter, of which a prediction starts from the last."""
+
+
 def is_track(path: Path) -> bool:
     """Return whether a file is the output of an assimilation: a table, or JSON lines."""
     first = _beginning(path)

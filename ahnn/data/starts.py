@@ -14,9 +14,10 @@ import yaml
 from torch import Tensor
 
 from ahnn.contents import plain_yaml
-from ahnn.data.estimate_table import components_with_units, is_track, last_estimates, names_objects
+from ahnn.data.estimate_table import OF_FILTER, components_with_units, is_track, last_estimates, names_objects
 from ahnn.data.files import Files, instant, units
 from ahnn.data.files.epochs import SECOND
+from ahnn.data.files.frame_names import LISTED, is_unknown
 from ahnn.data.files.kinds import TABLES, holds_mean_elements, kind_of
 from ahnn.data.files.object_name import ObjectName, numbered
 from ahnn.data.files.raw import content_of, decoded
@@ -102,7 +103,8 @@ def in_frame(found: Starts, ours: Reference, space: Space, path: Path) -> Starts
     if frame is None:
         if own.frame and not ours.frame:
             said = "start %s: the frame is %s; the model states no frame and is assumed to use the same one"
-            log.warning(said, path, own.frame)
+            known = f". {own.frame} is unknown; known frames: {LISTED}" if is_unknown(own.frame) else ""
+            log.warning(said + known, path, own.frame)
         return found
     turn = matrices_to(frame, own, found.times, space, f"start {path}")
     known, since, own = found.covariances, found.since, own._replace(frame=frame)
@@ -196,7 +198,7 @@ def of_files(path: Path, space: Space, *, last: bool, known_sd: bool) -> Starts:
     """Read the first or the last state of each trajectory in a data file; raises UserError."""
     kind = kind_of(content_of(path), str(path))
     second = 1.0 if kind in ("elements", "omm") else None  # interval of the two samples propagated by SGP4
-    last = last and second is None
+    last = (last or OF_FILTER.encode() in content_of(path)) and second is None
     files = StartFiles("start", str(path), mass=space.mass, step=second, duration=second)
     if not files.momenta:
         require_velocities(space, f"start {path}")

@@ -64,7 +64,8 @@ def friction_test(flow: Any, measured: Segment) -> FrictionTest | None:
     """Estimate the additional friction of measurements relative to a flow; None if inconclusive.
 
     On short segments with refitted initial states, chi-square is compared for slightly decaying, unchanged
-    and slightly growing momenta. One Newton step yields the rate, the scatter of the segments its error.
+    and slightly growing momenta. One Newton step yields the rate; the scatter of the segments' slopes at
+    this rate yields its error.
     """
     if clock_of(flow) or not conserves(flow):
         return None
@@ -84,10 +85,12 @@ def friction_test(flow: Any, measured: Segment) -> FrictionTest | None:
         refine(decaying(flow, rate), plain.starts, short, steps, FOLLOWING, initial_states.SURE).sums
         for rate in (-small, small)
     )
-    slopes, bend = (more - less) / (2 * small), (more - 2 * plain.sums + less).sum() / small**2
+    slopes, bends = (more - less) / (2 * small), (more - 2 * plain.sums + less) / small**2
+    bend = bends.sum()
     if not bool(bend > 0):
         return None
-    rate, error = float(-slopes.sum() / bend), float(slopes.square().sum().sqrt() / bend)
+    rate = float(-slopes.sum() / bend)
+    error = float((slopes + bends * rate).square().sum().sqrt() / bend)
     span = float((measured.times.nan_to_num(nan=-torch.inf).amax(1) - measured.times[:, 0]).median())
     spent = float(short.measured.sum()) - 2.0 * short.instrument.dof * len(short.times)
     excess = max(float(plain.sums.sum()) - spent, 1.0)

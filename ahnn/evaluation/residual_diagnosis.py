@@ -41,12 +41,8 @@ def diagnosis(dynamics: nn.Module, unseen: Segment, training: Segment | None, ro
         training: measurements used in training, if known.
         robust: robust loss of the training.
     """
-    few = int(unseen.measured.sum()) < ENOUGH
-    if training is None or not few or int(training.measured.sum()) <= int(unseen.measured.sum()):
-        return remedy(dynamics, unseen, robust)
-    some = training.rows(training.measured.cumsum(0) <= max(MOST, int(training.measured[0])))
-    some = whole(Observations(some.values, some.times), some.instrument)
-    if said := remedy(dynamics, some, robust):
+    some = sufficient(unseen, training)
+    if (said := remedy(dynamics, some, robust)) or some is unseen:
         return said
     seen = explain(dynamics, some, robust)
     if not seen.chi_square <= seen.band[1]:
@@ -55,6 +51,15 @@ def diagnosis(dynamics: nn.Module, unseen: Segment, training: Segment | None, ro
         f"the measurements of the training have {seen.chi_square:#.3g} times the noise variance: the model "
         "fits these better than the unseen ones, so that more trajectories would help"
     )
+
+
+def sufficient(unseen: Segment, training: Segment | None) -> Segment:
+    """Return the unseen measurements if they suffice for a diagnosis, otherwise some of the training."""
+    few = int(unseen.measured.sum()) < ENOUGH
+    if training is None or not few or int(training.measured.sum()) <= int(unseen.measured.sum()):
+        return unseen
+    some = training.rows(training.measured.cumsum(0) <= max(MOST, int(training.measured[0])))
+    return whole(Observations(some.values, some.times), some.instrument)
 
 
 @torch.no_grad()

@@ -17,7 +17,7 @@ from ahnn.evaluation.forecast import HALF, Forecast, forecast
 from ahnn.evaluation.friction_test import friction_test
 from ahnn.evaluation.goodness_of_fit import explain
 from ahnn.evaluation.open_loop import open_loop
-from ahnn.evaluation.residual_diagnosis import diagnosis, invisible
+from ahnn.evaluation.residual_diagnosis import diagnosis, invisible, sufficient
 from ahnn.evaluation.textbook_orbit import remedy, textbook_forecasts, textbook_row
 from ahnn.evaluation.titles import described
 from ahnn.evaluation.trajectory_figures import open_loop_figures
@@ -73,7 +73,8 @@ def add_tests(case: Case, findings: Findings, *, figures: bool) -> Worth:
         findings.tell(case.uncertainty.unfinished, findings.faults)
     if case.measured is not None:
         add_noise(case, case.measured, findings)
-        add_goodness(case, case.measured, findings)
+        decays = add_friction(case, case.measured, findings)
+        add_goodness(case, case.measured, findings, decays=decays)
     if figures:
         findings.figures |= open_loop_figures(case, findings.arrays)
     if (known := case.uncertainty) is not None:
@@ -112,11 +113,21 @@ def band_tests(case: Case, fitted: float, samples: int) -> dict[str, Any]:
     return found if ahead is None else {**found, "forecast": ahead.numbers()}
 
 
-def add_goodness(case: Case, measured: Segment, findings: Findings) -> None:
+def add_friction(case: Case, measured: Segment, findings: Findings) -> bool:
+    """Add the test for friction that a model lacks, and return whether it finds any."""
+    beside = friction_test(case.flow, sufficient(measured, case.learned_from))
+    if beside is None:
+        return False
+    findings.tell(beside.sentence(case.space.units.time), findings.faults)
+    findings.numbers["friction_test"] = beside._asdict()
+    return beside.found
+
+
+def add_goodness(case: Case, measured: Segment, findings: Findings, *, decays: bool) -> None:
     """Add the goodness of fit to unseen measurements, with remedies if it is poor.
 
     A training that ended early is the first cause, and its remedy the first fault; what else the residuals
-    show may be only its consequence.
+    show may be only its consequence, or that of momenta that decay without friction in the model.
     """
     show("goodness of fit")
     flow = cast(Any, case.flow)
@@ -135,8 +146,8 @@ def add_goodness(case: Case, measured: Segment, findings: Findings) -> None:
             said = ""
         else:
             said = diagnosis(flow, measured, case.learned_from, case.robust)
-        later = f"if it remains after a longer training: {said}" if said and case.shortfall else said
-        findings.tell(later, findings.faults)
+        first = "after a longer training" if case.shortfall else "with this force" if decays else ""
+        findings.tell(f"if it remains {first}: {said}" if said and first else said, findings.faults)
     findings.tell(invisible(flow, measured, case.noise), findings.highlights)
     findings.numbers["measurements"] = explained.numbers()
 
@@ -162,10 +173,6 @@ def add_worth(case: Case, findings: Findings) -> Worth:
     findings.tell(found.sentence())
     findings.numbers["worth"] = found.numbers()
     if case.measured is not None:
-        beside = friction_test(case.flow, case.measured)
-        if beside is not None:
-            findings.tell(beside.sentence(case.space.units.time), findings.faults)
-            findings.numbers["friction_test"] = beside._asdict()
         return found
     if (trend := energy_trend(case)) is not None:
         said = trend.sentence(case.space.units.time)

@@ -19,7 +19,7 @@ from ahnn.assimilation.output_rows import Rows
 from ahnn.assimilation.session import Session, Watcher
 from ahnn.assimilation.stream_figures import figures_of
 from ahnn.assimilation.view import View, summary
-from ahnn.data.estimate_table import described, track_names
+from ahnn.data.estimate_table import OF_FILTER, described, track_names
 from ahnn.data.files import Ephemeris, write_oem
 from ahnn.data.files.object_name import ObjectName
 from ahnn.data.reference import Reference
@@ -128,7 +128,8 @@ def _pictures(stream: Stream) -> None:
                 write_atomically(Path(options.figures) / f"{name}{suffix}", drawn(figure, suffix))
     if options.oem:
         one = next(iter(stream.objects.values()), ObjectName(UNKNOWN))
-        write_oem(Path(options.oem), estimated(record, one, space, stream.reference))
+        estimates = estimated(record, one, space, stream.reference)
+        write_oem(Path(options.oem), estimates, comments=[OF_FILTER])
 
 
 def estimated(

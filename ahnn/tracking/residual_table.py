@@ -126,13 +126,14 @@ def verdict(row: ResidualRow) -> str:
 
 
 def event_lines(rows: list[ResidualRow], event: Event) -> list[str]:
-    """Return a line on the event of the times if ranges drift or scatter: light time may be the cause."""
+    """Return a line on possible causes, forces and the event of the times, if ranges drift or scatter."""
     if not any(row.kind == "range" and (drifts(row) or scatters(row)) for row in rows):
         return []
     return [
-        "ranges that drift or scatter: a possible cause is the light time, since the times are taken as "
-        f"those of {EVENTS[event]} (event: {event}). A sidecar sets event: receive, transmit, or bounce for "
-        "geometric ranges at the stated times"
+        "ranges that drift or scatter: possible causes are a force that is missing (forces.learned estimates "
+        f"one) and the light time, since the times are taken as those of {EVENTS[event]} (event: {event}). A "
+        "sidecar sets event: receive, transmit, or bounce for geometric ranges at the stated times. Standard "
+        "deviations of the orbit do not include this"
     ]
 
 

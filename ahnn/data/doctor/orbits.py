@@ -15,7 +15,7 @@ import numpy as np
 from ahnn.data.doctor.finding import Finding
 from ahnn.data.doctor.slopes import slopes
 from ahnn.data.files.content import Content
-from ahnn.data.files.frame_names import NAMES, ROTATING, known
+from ahnn.data.files.frame_names import LISTED, ROTATING, is_unknown
 from ahnn.data.files.frames import TURN
 from ahnn.data.files.samples import Array, Track
 from ahnn.data.files.units import LENGTH, TIME, unit
@@ -93,9 +93,9 @@ def orbit_findings(content: Content, tracks: list[Track]) -> list[Finding]:
 def unknown_frame(content: Content) -> list[Finding]:
     """Return a warning for the name of a frame that cannot be converted, perhaps a misspelled one."""
     frame = Reference.of(content.frame).frame
-    if not frame or known(frame) or frame.upper().startswith(ROTATING):
+    if not is_unknown(frame):
         return []
-    remedy = f"Known frames: {', '.join((*NAMES, 'ITRF'))}"
+    remedy = f"Known frames: {LISTED}"
     what = f"frame {frame} is unknown: states in it are not converted"
     return [Finding("warning", content.tracks[0].file, content.head, "", what, remedy)]
 

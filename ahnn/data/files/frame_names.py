@@ -24,6 +24,8 @@ SPELLINGS = {
 }
 """Canonical name for each capitalised synonym of frames, centres and time scales."""
 SIDECAR = "Set it with the key frame in a sidecar"
+LISTED = ", ".join((*NAMES, "ITRF"))
+"""Frames that can be converted, for messages."""
 ROTATING = ("ITRF", "ECEF", "EFG", "GTOD", "GRC", "TDR", "WGS")
 """Prefixes of the names of Earth-fixed frames."""
 
@@ -42,6 +44,11 @@ def known(frame: str) -> str:
         date = _spelled(moment) if NAMES.get(name) in OF_DATE else ""
         return f"{NAMES[name]}{of}{date}" if date else ""
     return "ITRF" if name.startswith("ITRF") and " " not in name else NAMES.get(name, "")
+
+
+def is_unknown(frame: str) -> bool:
+    """Return whether a name is stated, and is neither a frame that can be converted nor Earth-fixed."""
+    return bool(frame) and not known(frame) and not frame.upper().startswith(ROTATING)
 
 
 def _spelled(moment: str) -> str:

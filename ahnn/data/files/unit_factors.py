@@ -67,7 +67,7 @@ def scales(header: Header, roles: Roles, place: Place) -> Scales:
         arm = unit("m^2") if length.dimension == ANGLE else length
         dimension = tuple(m + a - t for m, a, t in zip(MASS, arm.dimension, TIME, strict=True))
         rate = Unit("kg", arm.size / base.size, dimension)
-        meaning = "a momentum (mass times velocity)"
+        meaning = f"a momentum, such as [kg {arm.text}/{base.text}]"
     rates = tuple(factor(header, found, i, rate, place, meaning) for i in roles.rates)
     text = "1" if speed.text == "1/1" else speed.text
     units = Units(base.text, length.text, text, energy_unit(length, base))
