@@ -113,7 +113,9 @@ class HamiltonianDynamics(IntegratedField):
         dof: degrees of freedom n.
         inertia: factor m of T = p^2 / 2m, for `mechanical`, `pairs` and `central_body`; a number, or one per
             coordinate except for `central_body`.
-        hamiltonian: generic, separable, mechanical, central_body, mass_matrix or pairs.
+        hamiltonian: `generic` H(q, p), `separable` T(p) + V(q), `mechanical` p^2 / 2m + V(q), `central_body`
+            p^2 / 2m - m mu / r + V(q), `mass_matrix` p^T M(q)^{-1} p / 2 + V(q), or `pairs` p^2 / 2m plus a
+            potential of the distances between bodies.
         mu: gravitational parameter of `central_body`; None to learn it.
         falloff: k of a learned V(q) = (R / r)^k N(q); 0 for no prescribed decay with distance.
         dimensions: number of coordinates per body, for `pairs`.

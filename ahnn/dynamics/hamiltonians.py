@@ -176,19 +176,7 @@ def make_hamiltonian(
 ) -> Hamiltonian:
     """Build a learned Hamiltonian of a given structure.
 
-    Args:
-        structure: `generic` H(q, p), `separable` T(p) + V(q), `mechanical` p^2 / 2m + V(q), `central_body`
-            p^2 / 2m - m mu / r + V(q), `mass_matrix` p^T M(q)^{-1} p / 2 + V(q), or `pairs` p^2 / 2m plus a
-            potential of the distances between bodies.
-        dof: degrees of freedom n.
-        mass: mass for `mechanical` and `pairs`, common or per coordinate; a single mass for `central_body`.
-        mu: gravitational parameter of `central_body`; None to learn it.
-        falloff: k of a learned V(q) = (R / r)^k N(q); 0 for no prescribed decay with distance.
-        dimensions: number of coordinates per body, for `pairs`.
-        inputs: input map of the positions: cartesian, isotropic, radial or angles.
-        scaling: minmax, block or none.
-        network: width, depth, activation.
-        angular: which coordinates are angles.
+    Arguments as for `HamiltonianDynamics`, whose `hamiltonian` is the structure and `inertia` the mass.
 
     Raises:
         UserError: unknown structure, an option that the structure does not support, or a value out of range.

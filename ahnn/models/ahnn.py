@@ -15,22 +15,11 @@ from ahnn.models.module import AbstractModel
 class AHNN(AbstractModel):
     """Autoregressive Hamiltonian neural network of the paper; with one-step windows, its HNN⁺.
 
+    All arguments but those of the loss are those of `ahnn.dynamics.HamiltonianDynamics`.
+
     Args:
-        dof: degrees of freedom n.
-        inertia: factor m of T = p^2 / 2m, used by `mechanical` and `central_body`.
-        hamiltonian: generic, separable, mechanical, central_body, mass_matrix or pairs.
-        mu: gravitational parameter of `central_body`; None: learned.
-        falloff: k of a learned V(q) = (R / r)^k N(q); 0 for no prescribed decay with distance.
-        dimensions: number of coordinates of a body, for hamiltonian=pairs.
-        inputs: cartesian, isotropic or radial positions, or angles.
-        scaling: minmax, block or none.
-        network: width, depth, activation.
-        integrator: `name` and options of the one-step method.
         window: number W of recursive prediction steps in the loss.
         loss: options of `LossOptions`.
-        angular: whether each coordinate is an angle, for inputs=angles.
-        forces: additional forces, name -> options.
-        controls: number m of controls on which forces may depend.
     """
 
     def __init__(
