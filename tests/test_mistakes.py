@@ -8,7 +8,7 @@ from hydra._internal.config_loader_impl import ConfigLoaderImpl
 from hydra._internal.hydra import Hydra
 from hydra.core.global_hydra import GlobalHydra
 
-from ahnn.cli.commandline import compose, config_loader, in_one_folder
+from ahnn.cli.commandline import compose, config_loader, flags_last, in_one_folder
 
 GL4 = "integrator=gl4"
 COSINE = "scheduler=cosine"
@@ -253,3 +253,9 @@ def test_a_sweep_runs_in_the_folder_of_its_run_or_says_that_it_cannot(tmp_path, 
         assert call("ahnn.train", "-m", "seed=1,2", "budget=smoke", several) == 2
         assert "run: expected one folder for all jobs of a sweep" in capfd.readouterr().err
     assert not [*tmp_path.iterdir()]
+
+
+def test_flags_may_stand_anywhere():
+    given = ["seed=7", "--config-dir", "mine", "-m", "system=my", "-i", "config", "~logger", "--info", "a=1"]
+    flags = ["--config-dir", "mine", "-m", "-i", "config", "--info"]
+    assert flags_last(given) == ["seed=7", "system=my", "~logger", "a=1", *flags]

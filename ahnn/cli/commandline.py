@@ -41,18 +41,8 @@ from ahnn.manifest import require_folder
 from ahnn.paths import conf_dir
 
 MODES = ("run", "multirun", "cfg", "info", "shell_completion")
-VALUES = (
-    "--cfg",
-    "-c",
-    "--package",
-    "-p",
-    "--config-dir",
-    "-cd",
-    "--config-name",
-    "-cn",
-    "--config-path",
-    "-cp",
-)
+VALUES = ("--cfg", "-c", "--package", "-p", "--config-dir", "-cd")
+VALUES += ("--config-name", "-cn", "--config-path", "-cp")
 INFOS = ("--info", "-i")
 """Flags of Hydra that take a value, and those that may take one."""
 TEXTS = ("run", "pretrained", "ckpt", "weights", "name", "label", "start", "measurements", "state", "output")

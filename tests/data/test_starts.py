@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from ahnn.data.estimate_table import OF_FILTER
 from ahnn.data.files import Covariance, Ephemeris, Files, instant, write_oem
 from ahnn.data.files.object_name import numbered
 from ahnn.data.reference import Reference
@@ -207,3 +208,25 @@ def test_positions_of_a_message_go_to_those_of_the_model_by_order_and_their_cova
 def test_a_model_without_a_frame_is_taken_to_be_in_that_of_the_file(tmp_path, caplog, ours, warned):
     starts(message(tmp_path / "a.oem", [0.0, 60.0, 150.0]), ORBIT, Reference.of(ours))
     assert ("the frame is EME2000; the model states no frame" in caplog.text) is warned
+
+
+def test_an_unknown_frame_is_named_beside_the_known_ones(tmp_path, caplog):
+    for frame, warned in (("J3000, EARTH, UTC", True), ("TEME, EARTH, UTC", False)):
+        (tmp_path / "start.yaml").write_text(f"mean: [1, 2, 3, 4]\nframe: {frame}\n")
+        caplog.clear()
+        starts(str(tmp_path / "start.yaml"), PLANE)
+        assert ("J3000 is unknown; known frames: GCRF" in caplog.text) is warned
+
+
+def test_estimates_of_a_filter_in_an_orbit_message_begin_with_the_last_one(tmp_path, caplog):
+    times = np.array([0.0, 60.0, 120.0])
+    one = Ephemeris("A", "A", "EARTH", "EME2000", "UTC", NOON, times, STATES)
+    for k, comments in enumerate(([], [OF_FILTER])):
+        for suffix in ("oem", "xml"):
+            path = tmp_path / f"{k}.{suffix}"
+            write_oem(path, [one], comments=comments)
+            with caplog.at_level("INFO", "ahnn"):
+                found = starts(str(path), ORBIT)
+            row = STATES[2 if comments else 0]
+            assert found.states[0, :3].tolist() == pytest.approx((1000 * row[:3]).tolist())
+    assert "the last of 3 states" in caplog.text

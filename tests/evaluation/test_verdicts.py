@@ -204,3 +204,13 @@ def test_wrong_gravity_is_no_friction():
     found = friction_test(Integrated(wrong, RK4), seen(driven(count=40), 0.01))
     assert found is not None
     assert not found.found
+
+
+def test_few_measurements_show_strong_friction():
+    """Eight short trajectories, whose sum of slopes alone exceeds its scatter by the root of their number."""
+    few = driven(friction=0.3, count=8)
+    short = Trajectories(few.states[:, :61], few.times[:, :61])
+    found = friction_test(Integrated(FREE, RK4), seen(short, 0.02))
+    assert found is not None
+    assert found.found
+    assert abs(found.rate - 0.3) < 4 * found.error + 0.02
