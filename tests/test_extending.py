@@ -114,7 +114,7 @@ def test_the_map_is_trained_and_has_the_step_of_its_data(tmp_path, capsys):
 def test_help_lists_its_options_and_a_name_beside_them_is_corrected(capsys):
     assert call("ahnn.train", "--help") == 0
     out = capsys.readouterr().out
-    for name in ("duffing", "newton", "ralston", "endpoint", "bearing", "first_order"):
+    for name in ("hardening", "newton", "ralston", "endpoint", "bearing", "first_order"):
         assert f" {name}" in out
     assert call("ahnn.train", "--help", "loss=endpoint") == 0
     assert "states at the end that count" in capsys.readouterr().out
@@ -239,7 +239,7 @@ def test_the_page_includes_every_file_of_the_package():
 def test_the_commands_of_the_page_run_as_printed(site, tmp_path, monkeypatch):
     paths = [str(ROOT), str(ROOT / "plugins"), str(site)]
     monkeypatch.setenv("PYTHONPATH", ":".join(paths))
-    printed = PAGE[PAGE.index("newton on duffing") :].splitlines()[0]
+    printed = PAGE[PAGE.index("newton on hardening") :].splitlines()[0]
     for command in COMMANDS:
         words = [sys.executable, *shlex.split(command)[1:]]
         done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
