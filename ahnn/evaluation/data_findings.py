@@ -15,6 +15,10 @@ from ahnn.data.reference import Reference
 LEVELS = ("fault", "warning", "note")
 SHOWN = 5
 """Maximum number of similar findings listed in the table; the rest are counted."""
+LISTED = 20
+"""Maximum number of rows named of the rest."""
+AGAIN = "as above"
+"""In place of a remedy that stands above."""
 FILE = 12, 20
 """Minimum and maximum width of file names, which are never broken; longer ones lack their middle."""
 SPATIAL = 3
@@ -68,16 +72,24 @@ def columns(content: Content) -> str:
 
 
 def shortened(findings: list[Finding]) -> Iterator[tuple[str, str, str, str, str]]:
-    """Yield the table cells of findings, of similar ones the largest and a count of those beyond `SHOWN`."""
+    """Yield the table cells of findings, of similar ones the largest, and the rows of those beyond `SHOWN`.
+
+    A remedy is stated once for consecutive findings of a file.
+    """
+    above = ("", "")
     kinds: dict[tuple[str, str, str], list[Finding]] = {}
     for one in findings:
         kinds.setdefault((one.file, one.column, one.remedy), []).append(one)
-    for (file, column, _), alike in kinds.items():
+    for (file, column, remedy), alike in kinds.items():
         name = fitting(Path(file).name)
-        for one in sorted(alike, key=lambda one: -one.size)[:SHOWN]:
-            yield name, str(one.row or ""), column, one.what, one.remedy
-        if (more := len(alike) - SHOWN) > 0:
-            yield name, "...", column, f"{more:,} more like these", ""
+        ordered = sorted(alike, key=lambda one: -one.size)
+        for one in ordered[:SHOWN]:
+            yield name, str(one.row or ""), column, one.what, AGAIN if (file, remedy) == above else remedy
+            above = file, remedy
+        if rest := ordered[SHOWN:]:
+            rows = ", ".join(str(one.row) for one in sorted(rest, key=lambda one: one.row)[:LISTED])
+            known = f", in rows {rows}{', ...' * (len(rest) > LISTED)}" if rest[0].row else ""
+            yield name, "...", column, f"{len(rest):,} more like these{known}", ""
 
 
 def fitting(name: str) -> str:

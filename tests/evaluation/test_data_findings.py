@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 
 from rich.console import Console
 
@@ -28,6 +29,17 @@ def test_the_longest_gaps_come_first_with_their_duration(tmp_path):
     assert "a gap of 61.0 min: 60" in lines[0]
     assert all("a gap of 2.0 min: 1 " in line for line in lines[1:5])
     assert "11 more like these" in lines[5]
+    assert sum("Nothing to do" in line for line in lines) == 1
+    assert all(line.rstrip().endswith("as above") for line in lines[1:5])
+
+
+def test_the_rows_of_the_rest_are_named(tmp_path):
+    gone = {20 * k + 3 for k in range(8)}
+    text = " ".join(" ".join(lines_of(tmp_path, "a.csv", [k for k in range(400) if k not in gone])).split())
+    shown = [int(row) for row in re.findall(r"warning a.csv (\d+) t ", text)]
+    rest = [int(row) for row in re.search(r"3 more like these, in rows ([\d, ]+)", text)[1].split(",")]
+    assert len(shown) == 5
+    assert sorted(shown + rest) == [20 * k + 5 - k for k in range(8)]
 
 
 def test_the_name_of_a_file_is_on_one_line(tmp_path):
