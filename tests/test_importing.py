@@ -94,7 +94,10 @@ def stages(finished, tmp_path_factory):
 
 @pytest.mark.parametrize("stage", SPARED)
 def test_what_is_of_no_use_is_not_imported(stages, stage):
-    assert not SPARED[stage] & {*stages[stage]}
+    """A stage adds none of these; the oldest libraries already import some of them for an earlier one."""
+    order = [*SPARED]
+    before = stages[order[order.index(stage) - 1]] if stage != order[0] else []
+    assert not SPARED[stage] & ({*stages[stage]} - {*before})
 
 
 def test_what_is_imported_first_is_left_alone_and_what_a_later_job_makes_is_not():
