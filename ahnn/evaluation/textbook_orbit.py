@@ -13,13 +13,13 @@ from ahnn.data.reference import BODY, Reference
 from ahnn.dynamics.forced import forced
 from ahnn.dynamics.forces.attraction import CentralAttraction, Oblateness
 from ahnn.evaluation.case import Case, Row, Who
-from ahnn.evaluation.forecast import first_part, part_fitted
+from ahnn.evaluation.forecast import HALF, first_part, part_fitted
 from ahnn.evaluation.goodness_of_fit import fit_to
 from ahnn.evaluation.titles import TEXTBOOK
 from ahnn.integrators import INTEGRATORS
 from ahnn.measurements import Segment
 from ahnn.numbers import in_percent
-from ahnn.rollouts import rollout
+from ahnn.rollouts import clock_of, rollout
 from ahnn.shooting.path_sensitivities import path, steps_between
 from ahnn.shooting.robust import RobustName
 from ahnn.types import Space, TimeStep, as_factor
@@ -34,8 +34,6 @@ BETTER = 0.9
 """Fraction of the model's error below which the textbook's counts as smaller."""
 FITS = 0.1
 """Error, relative to the distance from the centre, above which data are no orbit about the Earth."""
-HALF = 0.5
-"""Fraction of the measurements to which a start is fitted; the others are forecast."""
 NORMAL = 0.6744897501960817
 """Median of the absolute value of a standard normal variable."""
 
@@ -139,7 +137,7 @@ def textbook_row(case: Case) -> tuple[Row, Tensor] | None:
 
 def textbook_forecasts(case: Case) -> Beside | None:
     """Return errors of forecasts of unseen measurements by model and textbook; None if it does not apply."""
-    flow = None if case.measured is None else oblate_earth(case)
+    flow = None if case.measured is None or clock_of(case.flow) else oblate_earth(case)
     if flow is None or case.measured is None:
         return None
     shorter = min(case.measured.instrument.longest, flow.longest(case.test.states[..., :3]))
@@ -171,6 +169,10 @@ def remedy(case: Case, model: float, textbook: float) -> str:
     if not textbook < BETTER * model:
         return ""
     share = in_percent(textbook / model)
-    known = "hamiltonian=mechanical forces=oblate_planet" if case.space.units[:2] == ("s", "km") else ""
-    how = f": {known} learns what it leaves" if known else "; add it as a known force (forces=oblate_planet)"
+    if Oblateness.assumes in case.assumes:
+        how = ", although the model includes it: train longer"
+    elif case.space.units[:2] == ("s", "km"):
+        how = ": hamiltonian=mechanical forces=oblate_planet learns what it leaves"
+    else:
+        how = "; add it as a known force (forces=oblate_planet)"
     return f"less accurate than {TEXTBOOK} without learning, whose error is {share} of the model's{how}"

@@ -99,6 +99,8 @@ def test_a_less_accurate_model_is_told_of_the_textbook_with_a_remedy(tmp_path, o
     (said,) = [fault for fault in findings.faults if TEXTBOOK in fault]
     assert "hamiltonian=mechanical forces=oblate_planet" in said
     assert "textbook_true_start" in findings.arrays
+    aware = case_of(tmp_path, orbits, assumes="mechanical Hamiltonian, known oblateness")
+    assert remedy(aware, 1.0, 0.5).endswith("train longer")
     exact = evaluate(case_of(tmp_path, orbits, flow=OblateEarth(space())), {}, figures=False)
     assert not [fault for fault in exact.faults if TEXTBOOK in fault]
 
