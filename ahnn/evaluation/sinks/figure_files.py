@@ -56,6 +56,7 @@ def drawn(figure: Figure, suffix: str) -> bytes:
     """Return a figure as file content; each format is drawn once for all outputs."""
     contents = _DRAWN.setdefault(figure, {})
     if suffix not in contents:
+        figure.align_ylabels()
         buffer = io.BytesIO()
         # Many journals reject fonts of type 3, the default in PDF.
         with rc_context({"svg.hashsalt": "ahnn", "pdf.fonttype": 42}):
